@@ -23,8 +23,9 @@ import numpy as np
 import xarray as xr
 
 from brdfpipe import installation, vocabulary
+from brdfpipe.appearance.cabin import Cabin
 from brdfpipe.appearance.gloss_meter import gloss
-from brdfpipe.appearance.veiling_glare import Cabin, veiling_luminance
+from brdfpipe.appearance.veiling_glare import veiling_luminance
 from brdfpipe.bsdf.lambert_gauss import lambertian
 from brdfpipe.bsdf.measured import smoothing
 from brdfpipe.bsdf.microfacet.builder import build as build_facets

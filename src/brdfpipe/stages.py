@@ -375,9 +375,16 @@ def _appearance_parts(subject: Subject) -> dict[str, list[Any]]:
 
 
 def _appearance(subject: Subject) -> dict[str, Any]:
-    """The settings of the parts of the appearance that the scene asks for; defaults are left out, as in the default scene."""
+    """The settings of the parts of the appearance that the scene asks for, empty where there are none; without ``parts``: all."""
     config, parts = subject.config, _appearance_parts(subject)
+    cabin = None
+    if subject.scene is not None and subject.scene.asks("veiling_glare"):
+        cabin = subject.scene.content.get("glare", {})
+    if not parts and cabin is None:
+        return {}
     settings: dict[str, Any] = {} if list(parts) == list(PARTS) else {"parts": list(parts)}
+    if cabin is not None:
+        settings["cabin"] = cabin
     if "gloss" in parts:
         settings["gloss_angles"] = parts["gloss"]
     if "haze" in parts:
@@ -734,7 +741,7 @@ _STAGES = (
     Stage(
         "appearance",
         "gloss, haze and colours",
-        when=Condition(_asked(*PARTS).words, lambda subject: bool(_appearance_parts(subject))),
+        when=Condition(_asked(*PARTS, "veiling_glare").words, lambda subject: bool(_appearance(subject))),
         keys=StageKeys(
             (), ("illuminant", "observer", "gloss_angles", "appearance"), lambda subject, _: _appearance(subject)
         ),

@@ -13,6 +13,7 @@ import samples
 import xarray as xr
 
 from brdfpipe.appearance import compute_appearance
+from brdfpipe.appearance.cabin import Cabin
 from brdfpipe.appearance.quantities import (
     _TABLE,
     AppearanceQuantity,
@@ -22,7 +23,6 @@ from brdfpipe.appearance.quantities import (
     quantities,
     register,
 )
-from brdfpipe.appearance.veiling_glare import Cabin
 from brdfpipe.bsdf import microfacet, slab
 from brdfpipe.errors import BrdfpipeError
 from brdfpipe.facets import flat
@@ -168,5 +168,6 @@ def test_veiling_luminance_is_computed_and_shown_only_where_it_is_asked_for() ->
     assert "Veiling luminance" not in material_page({"bsdf": bsdf, "appearance": plain})
     page = material_page({"bsdf": bsdf, "appearance": asked})
     assert f'<dt>Veiling luminance</dt><dd><span class="value">{value:.3g}<small> cd/m²</small>' in page
-    assert "veiling_luminance" not in summarise({"bsdf": bsdf, "appearance": asked})
+    assert "veiling_luminance" not in summarise({"bsdf": bsdf, "appearance": plain})
+    assert summarise({"bsdf": bsdf, "appearance": asked})["veiling_luminance"].item() == value
     assert "| `veiling_luminance` |" in docs_table()

@@ -9,8 +9,9 @@ import pytest
 import samples
 
 from brdfpipe import facets, optics, psd
+from brdfpipe.appearance.cabin import Cabin, Sky, Sun, Windscreen
 from brdfpipe.appearance.skies import sky_luminance
-from brdfpipe.appearance.veiling_glare import SUN_RADIUS, Cabin, Sky, Sun, Windscreen, veiling_luminance
+from brdfpipe.appearance.veiling_glare import SUN_RADIUS, veiling_luminance
 from brdfpipe.bsdf import microfacet, wave
 from brdfpipe.bsdf.lambert_gauss import lambertian
 from brdfpipe.errors import BrdfpipeError

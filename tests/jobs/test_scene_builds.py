@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from brdfpipe.jobs import failures
 from brdfpipe.jobs.build import build as build_catalogue
 from brdfpipe.jobs.cleanup import STALE
 from brdfpipe.jobs.summary import Summary
@@ -121,6 +122,12 @@ def test_failures_are_listed_in_the_catalogue_of_their_scene(folder: Path, resul
     assert summary.failures == {"bad": "surface: raw.txt: not fit to use; found refuse"}
     assert of_catalogue(results)["failures"] == {}
     assert list(of_catalogue(results / "scenes" / "gloss-sheet")["failures"]) == ["bad"]  # type: ignore[call-overload]
+
+
+def test_a_file_of_a_scene_that_cannot_be_replaced_is_named_with_its_scene() -> None:
+    errors = ["[Errno 13] Permission denied: '/r/scenes/gloss-sheet/first/appearance.nc'"]
+    (message,) = (entry["message"] for entry in failures.of_unwritable_files(errors, {"first"}).values())
+    assert message.startswith("scenes/gloss-sheet/first/appearance.nc: cannot be replaced")
 
 
 def test_results_of_a_scene_that_is_not_built_are_left_alone_unless_the_material_left(

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import pytest
 
-from brdfpipe.appearance.veiling_glare import Cabin
+from brdfpipe.appearance.cabin import Cabin, cabin_of
 from brdfpipe.descriptions import reading
 from brdfpipe.errors import InputError
-from brdfpipe.scenes.glare_keys import GlareKeys, cabin_of
+from brdfpipe.scenes.glare_keys import GlareKeys
 
 
 def read(tmp_path, text: str):

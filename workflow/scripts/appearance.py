@@ -1,17 +1,20 @@
 from brdfpipe import store
+from brdfpipe.appearance.cabin import cabin_of
 from brdfpipe.appearance.computation import compute_appearance
 
 
 def main(input, output, params):
-    """Gloss, haze, colours and a preview of a BRDF."""
+    """Gloss, haze, colours and further quantities of a BRDF."""
     bsdf = store.open_dataset(input["bsdf"], "bsdf")
+    spec = params["spec"]
+    cabin = {"cabin": cabin_of(spec["cabin"])} if "cabin" in spec else {}
     store.save_dataset(
-        compute_appearance(bsdf, **params["spec"]),
+        compute_appearance(bsdf, **spec | cabin),
         output["appearance"],
         stage="appearance",
         material=params["material"],
         inputs={"bsdf": bsdf},
-        parameters=params["spec"],
+        parameters=spec,
     )
 
 

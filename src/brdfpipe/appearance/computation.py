@@ -11,6 +11,7 @@ import xarray as xr
 
 from brdfpipe import vocabulary
 from brdfpipe.appearance import quantities
+from brdfpipe.appearance.cabin import Cabin
 from brdfpipe.appearance.colours import (
     ANGLE_TOLERANCE,
     FLOP_GEOMETRIES,
@@ -25,7 +26,7 @@ from brdfpipe.appearance.gloss_basis import MEASURED_FLAGS, gloss_quality, gloss
 from brdfpipe.appearance.gloss_meter import gloss, gloss_and_haze
 from brdfpipe.appearance.haze import WINDOWS, HazeWindow, checked_window, reflectance_haze_with_uncertainty
 from brdfpipe.appearance.input_uncertainty import with_input_uncertainty, with_transmission_uncertainty
-from brdfpipe.appearance.veiling_glare import Cabin, veiling_luminance
+from brdfpipe.appearance.veiling_glare import veiling_luminance
 from brdfpipe.bsdf.registry import representation
 from brdfpipe.errors import BrdfpipeError
 from brdfpipe.spectra import colorimetry

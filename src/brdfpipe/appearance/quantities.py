@@ -68,7 +68,7 @@ class AppearanceQuantity:
     significant: int = 0
     """Significant digits of the tile, for values that span decades; 0: as many decimals as in the catalogue."""
     on_request: bool = False
-    """Whether it is computed only where it is asked for, and is no column of the catalogue."""
+    """Whether it is computed only where a scene asks for it, and is a column of the catalogue only there."""
 
     def __post_init__(self) -> None:
         if not self.definition:
@@ -180,7 +180,7 @@ def docs_table() -> str:
     """The table as Markdown: ``docs/quantities.md``."""
     lines = []
     for q in (*quantities(), *quantities_on_request()):
-        scope = q.applicability.words if q.applicability else "on request alone; not in the catalogue" * q.on_request
+        scope = q.applicability.words if q.applicability else "scenes that ask for it" * q.on_request
         unit = {"um": "µm", "cd m-2": "cd/m²"}.get(q.unit, q.unit)
         names = f"`{q.name}`, `{q.u_name}`" if q.u else f"`{q.name}`"
         cells = (names, q.label, q.symbol, unit, str(q.decimals), q.definition, q.standard, scope)

@@ -11,6 +11,7 @@ from pathlib import Path
 from brdfpipe.catalogue.catalogue import Catalogue
 from brdfpipe.catalogue.names import CALIBRATIONS
 from brdfpipe.jobs.runs import planned_runs
+from brdfpipe.scenes.scene import FOLDER
 
 Failures = dict[str, dict[str, str]]
 """Material → ``stage`` and ``message``."""
@@ -96,7 +97,9 @@ def of_unwritable_files(errors: Iterable[str], names: Collection[str]) -> Failur
             parts = Path(file).parts
             start = next((position for position, part in enumerate(parts) if part in names), None)
             if start is not None:
-                failures[parts[start]] = _blocked("/".join(parts[start:]), f"cannot be replaced ({reason})")
+                of_scene = start >= 2 and parts[start - 2] == FOLDER
+                shown = "/".join(parts[start - 2 if of_scene else start :])
+                failures[parts[start]] = _blocked(shown, f"cannot be replaced ({reason})")
     return failures
 
 

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Annotated, Any, Self
+from typing import Annotated, Self
 
 from pydantic import model_validator
 
+from brdfpipe.appearance.cabin import Cabin, cabin_of
 from brdfpipe.appearance.skies import SKIES
-from brdfpipe.appearance.veiling_glare import Cabin, Sky, Sun, Windscreen
 from brdfpipe.descriptions.keys import Keys, OneOf, key
 from brdfpipe.errors import BrdfpipeError, InputError
 
@@ -107,13 +106,3 @@ class GlareKeys(Keys):
         except BrdfpipeError as error:
             raise InputError("", str(error)) from error
         return self
-
-
-def cabin_of(content: Mapping[str, Any]) -> Cabin:
-    """The cabin that the keys describe, all of them given. Raises BrdfpipeError: an impossible geometry or glass."""
-    parts = {
-        "windscreen": Windscreen(**content["windscreen"]),
-        "sun": Sun(**content["sun"]),
-        "sky": Sky(**content["sky"]),
-    }
-    return Cabin(**{**content, **parts})

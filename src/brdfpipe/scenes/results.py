@@ -15,7 +15,7 @@ class Result:
     words: str
     """For the documentation."""
     of_appearance: bool = False
-    """Whether it is a part of the dataset ``appearance``."""
+    """Whether it is a part of the appearance that every material may have."""
 
 
 _RESULTS = (
@@ -24,6 +24,7 @@ _RESULTS = (
     Result("haze", "haze beside the mirror direction", of_appearance=True),
     Result("colour", "L\\*a\\*b\\*, the flop index and the total reflectance", of_appearance=True),
     Result("transmission", "transmittance and transmission haze of a clear body", of_appearance=True),
+    Result("veiling_glare", "luminance of a dashboard's image in the windscreen ([veiling glare](veiling-glare.md))"),
     Result("checks", "reciprocity, energy and closure of the BRDF"),
     Result("model_error", "the prediction beside rays and diffraction on its own scan"),
     Result("uncertainty", "standard uncertainties from the inputs of the BRDF and its model, of all that is asked for"),
@@ -38,4 +39,4 @@ RESULTS: Mapping[str, Result] = {result.name: result for result in _RESULTS}
 """By name."""
 
 PARTS = tuple(result.name for result in _RESULTS if result.of_appearance)
-"""Results that are parts of the dataset ``appearance``."""
+"""Results that are parts of the appearance that every material may have."""

@@ -10,6 +10,7 @@ from brdfpipe.descriptions.keys import WHOLE, Choice, Items, Keys, OneOf, key
 from brdfpipe.errors import InputError
 from brdfpipe.exchange.registry import FORMATS
 from brdfpipe.scenes.domain_keys import DomainKeys
+from brdfpipe.scenes.glare_keys import GlareKeys
 from brdfpipe.scenes.results import RESULTS
 
 BANDS = ("photopic", "rgb")
@@ -71,6 +72,10 @@ class SceneKeys(Keys):
     exports: Annotated[Formats | Annotated[str, OneOf((AS_MATERIAL,))], Choice(_list_or_word)] = key(
         "files for other programs: a list of formats, or material: those that each material names", default=[]
     )
+    glare: GlareKeys = key(
+        "for `veiling_glare`: windscreen, light and driver {windscreen, sun, sky, line_of_sight, distance, material_azimuth}",
+        details="See [veiling glare](veiling-glare.md).",
+    )
     metric: Annotated[str, OneOf(METRIC_NAMES)] = key(
         "the error that matters: glare (relative), colour (ΔE00), gloss (GU) or rendering (ΔE_ITP)", required=True
     )
@@ -83,6 +88,9 @@ class SceneKeys(Keys):
         if not self.results and not self.exports:
             accepted = f"some of {', '.join(RESULTS)}; or `exports`"
             raise InputError("", "the scene asks for nothing", where="results", found="[]", accepted=accepted)
+        if self.glare is not None and "veiling_glare" not in self.results:
+            accepted = "`veiling_glare` in `results`; or no `glare`"
+            raise InputError("", "no result of the scene has this geometry", where="glare", accepted=accepted)
         if self.bands not in BANDS[:1] and not set(_SPECTRAL) & set(self.results):
             found = self.bands if isinstance(self.bands, str) else f"{len(self.bands)} wavelengths"
             accepted = f"photopic; or one of {', '.join(_SPECTRAL)} in `results`"

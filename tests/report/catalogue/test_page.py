@@ -51,6 +51,38 @@ def test_the_page_shows_known_uncertainties_below_their_values(full: Datasets) -
     assert f"<td>{gloss:.1f}<td" in unknown
 
 
+def test_a_quantity_on_request_is_a_column_where_a_scene_asks_for_it(full: Datasets) -> None:
+    plain = summarise(full)
+    assert "veiling_luminance" not in plain
+    luminance = xr.DataArray(251.4, attrs={"units": "cd m-2", "long_name": "luminance"})
+    parts = {f"veiling_luminance{part}": luminance for part in ("", "_sun", "_sky")}
+    asked = summarise(full | {"appearance": full["appearance"].assign(parts)})
+    both = combine([asked, plain.assign_coords(material=["other"])])
+    assert both["veiling_luminance"].attrs["units"] == "cd m-2"
+    assert np.array_equal(both["veiling_luminance"], [251.4, np.nan], equal_nan=True)
+    assert "veiling_luminance" in catalogue_csv(both, {}).splitlines()[0].split(",")
+    assert "Veiling luminance, cd/m²" in catalogue_page(both, {})
+
+
+def test_the_page_of_a_scene_says_what_it_is_for_and_links_to_the_pages_that_exist(full: Datasets) -> None:
+    row = _row(full, "abs-grain")
+    of_scene = catalogue_page(
+        row,
+        {},
+        pages=(),
+        scene={"name": "gloss-sheet", "purpose": "Gloss <b>"},
+        others=[("catalogue", "../../index.html")],
+    )
+    assert "<h1>BRDF catalogue: gloss-sheet</h1>" in of_scene
+    assert "Gloss &lt;b&gt;" in of_scene
+    assert '<a href="../../index.html">catalogue</a>' in of_scene
+    assert "report.html" not in of_scene
+    default = catalogue_page(row, {})
+    assert "<h1>BRDF catalogue</h1>" in default
+    assert "Other scenes" not in default
+    assert 'href="abs-grain/report.html"' in default
+
+
 def test_unknown_quantities_are_nan(full: Datasets) -> None:
     row = summarise({"index": full["index"]})
     assert all(np.isnan(row[quantity.name].values).all() for quantity in quantities())

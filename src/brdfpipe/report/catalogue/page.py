@@ -16,11 +16,14 @@ import xarray as xr
 from markupsafe import Markup
 
 from brdfpipe import vocabulary
-from brdfpipe.appearance.quantities import AppearanceQuantity, quantities
+from brdfpipe.appearance.quantities import AppearanceQuantity
 from brdfpipe.appearance.verdicts import VERDICTS
-from brdfpipe.report.catalogue.rows import texts
+from brdfpipe.report.catalogue.rows import listed_quantities, texts
 from brdfpipe.report.formatting import MISSING, colour, value_with_u
 from brdfpipe.report.rendering import TEMPLATES, render
+
+_UNITS = {"um": "µm", "cd m-2": "cd/m²"}
+"""Units in headings."""
 
 _LONGEST_DESCRIPTION = 90
 """Characters of a description in the table."""
@@ -53,12 +56,16 @@ def catalogue_page(
     """
     script = (TEMPLATES / "catalogue.js").read_text("utf-8")
     vocabulary.validate(catalogue, "catalogue")
-    shown = [quantity for quantity in quantities() if np.isfinite(catalogue[quantity.name].values.astype(float)).any()]
+    listed = listed_quantities(catalogue.variables)
+    shown = [quantity for quantity in listed if np.isfinite(catalogue[quantity.name].values.astype(float)).any()]
     return render(
         "catalogue.html.j2",
         script=Markup(script),
         script_hash=b64encode(sha256(script.encode()).digest()).decode(),
-        headings=[f"{quantity.label}, µm" if quantity.unit == "um" else quantity.label for quantity in shown],
+        headings=[
+            f"{quantity.label}, {_UNITS[quantity.unit]}" if quantity.unit in _UNITS else quantity.label
+            for quantity in shown
+        ],
         scopes=[
             f"{quantity.label} applies to {quantity.applicability.words}."
             for quantity in shown

@@ -6,7 +6,7 @@ import csv
 import json
 import math
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 from io import StringIO
 from typing import Any
 
@@ -15,7 +15,7 @@ import xarray as xr
 
 from brdfpipe import vocabulary
 from brdfpipe.appearance.origin import basis, route, uncertainty_not_stated
-from brdfpipe.appearance.quantities import applicabilities, quantities
+from brdfpipe.appearance.quantities import AppearanceQuantity, applicabilities, quantities, quantities_on_request
 from brdfpipe.appearance.verdicts import overall, stage_warnings
 from brdfpipe.errors import VocabularyError
 from brdfpipe.report.formatting import colour
@@ -62,14 +62,15 @@ def summarise(datasets: Mapping[str, xr.Dataset], *, description: str = "") -> x
     Returns
     -------
     Dataset of kind ``catalogue``, dimension ``material`` of length 1: the quantities of :mod:`brdfpipe.appearance.quantities`, NaN
-    where not known or not applicable; :func:`text_columns`; ``warning_count``; ``srgb`` (material, channel), NaN where not known
+    where not known or not applicable, and of those on request the ones that were computed; :func:`text_columns`; ``warning_count``; ``srgb`` (material, channel), NaN where not known
     """
     known = own_stages(datasets)
     digests = {stage: str(dataset.attrs["digest"]) for stage, dataset in known.items() if "digest" in dataset.attrs}
     appearance = known.get("appearance", xr.Dataset())
+    requested = [quantity for quantity in quantities_on_request() if quantity.name in appearance]
     row = {
         "material": material_name(known),
-        **{quantity.name: quantity.value(known) for quantity in quantities()},
+        **{quantity.name: quantity.value(known) for quantity in (*quantities(), *requested)},
         **{quantity.u_name: quantity.uncertainty(known) for quantity in quantities() if quantity.u},
         "route": route(known),
         "basis": basis(known),
@@ -96,6 +97,7 @@ def combine(rows: Sequence[xr.Dataset]) -> xr.Dataset:
     ------
     VocabularyError : a row is of another kind or lacks a variable, or two rows have the same name.
     """
+    requested = [one.name for one in quantities_on_request() if any(one.name in row.variables for row in rows)]
     columns = ("material", *_number_columns(), *text_columns(), "warning_count", "srgb")
     for row in rows:
         if row.attrs.get("kind") != "catalogue":
@@ -105,11 +107,14 @@ def combine(rows: Sequence[xr.Dataset]) -> xr.Dataset:
             raise VocabularyError(f"a catalogue row lacks {absent[0]!r}; found {found}; build the material again")
     # Plain values: xarray.concat aligns and compares every variable of every row, which takes minutes for a thousand.
     values = {name: [value for row in rows for value in row.variables[name].values] for name in columns}
+    for name in requested:
+        by_row = [row[name].values if name in row else np.full(row.sizes["material"], np.nan) for row in rows]
+        values[name] = list(np.concatenate(by_row))
     names = [str(name) for name in values["material"]]
     if repeated := [name for name, count in Counter(names).items() if count > 1]:
         raise VocabularyError(f"two materials are named {repeated[0]!r}; change `name` in material.yaml")
     order = sorted(range(len(names)), key=names.__getitem__)
-    return _dataset([{name: values[name][k] for name in columns} for k in order])
+    return _dataset([{name: values[name][k] for name in (*columns, *requested)} for k in order])
 
 
 def texts(catalogue: xr.Dataset, name: str) -> list[str]:
@@ -130,10 +135,15 @@ def thumbnail(preview: xr.Dataset) -> str:
     return data_uri(small, "webp", quality=_THUMBNAIL_QUALITY, method=6)
 
 
-def _number_columns() -> dict[str, tuple[str, str]]:
-    """Unit and definition of the quantities, each followed by its uncertainty."""
+def listed_quantities(names: Container[Any]) -> tuple[AppearanceQuantity, ...]:
+    """The quantities of every material, and those on request that are among the names of a catalogue's variables."""
+    return (*quantities(), *(quantity for quantity in quantities_on_request() if quantity.name in names))
+
+
+def _number_columns(names: Container[Any] = ()) -> dict[str, tuple[str, str]]:
+    """Unit and definition of the quantities, each followed by its uncertainty; of those on request the ones among the names."""
     columns = {}
-    for quantity in quantities():
+    for quantity in listed_quantities(names):
         columns[quantity.name] = quantity.stored_unit, quantity.definition
         if quantity.u:
             columns[quantity.u_name] = quantity.stored_unit, quantity.u_definition
@@ -157,7 +167,7 @@ def _dataset(rows: Sequence[Mapping[str, Any]]) -> xr.Dataset:
 
     variables: dict[str, Any] = {
         name: column(name, float, units=unit, long_name=definition)
-        for name, (unit, definition) in _number_columns().items()
+        for name, (unit, definition) in _number_columns(rows[0] if rows else ()).items()
     }
     variables |= {name: column(name, str, long_name=long_name) for name, long_name in text_columns().items()}
     variables["warning_count"] = column("warning_count", np.int64, units="1", long_name="number of warnings")
@@ -187,7 +197,7 @@ def catalogue_csv(catalogue: xr.Dataset, failures: Mapping[str, Mapping[str, str
     names = ("route", "basis", "verdict", "verdict_checks", "verdict_text")
     columns = {name: texts(catalogue, name) for name in ("material", *names)}
     columns["warnings"] = [str(count) for count in catalogue["warning_count"].values.tolist()]
-    for name in _number_columns():
+    for name in _number_columns(catalogue.variables):
         values = catalogue[name].values.astype(float)
         rounded = np.where(np.abs(values) < _ROUNDING_ERROR, 0.0, values).tolist()
         columns[name] = ["" if math.isnan(value) else f"{value:.6g}" for value in rounded]

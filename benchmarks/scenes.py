@@ -1,0 +1,94 @@
+"""What each scene costs: build the examples from nothing for every shipped scene; write the table of docs/scenes.md.
+
+``python benchmarks/scenes.py`` takes some minutes on one core.
+"""
+
+from __future__ import annotations
+
+import json
+import platform
+import re
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+from brdfpipe.catalogue.catalogue import load
+from brdfpipe.scenes.scene import shipped_scenes
+
+PROJECT = Path(__file__).resolve().parents[1]
+PAGE = PROJECT / "docs" / "scenes.md"
+RECORD = PROJECT / "benchmarks" / "results" / "scenes.json"
+NOT_RESULTS = ("logs", ".snakemake", "failures", ".build.lock")
+MOST = "metrology-full"
+"""The scene that the others are compared with."""
+
+
+def main() -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        costs = {name: cost(name, Path(folder) / name) for name in shipped_scenes()}
+    machine = f"{platform.machine()}, Python {platform.python_version()}"
+    RECORD.write_text(json.dumps({"machine": machine, "cores": 1, "scenes": costs}, indent=1) + "\n", encoding="utf-8")
+    PAGE.write_text(with_costs(PAGE.read_text(encoding="utf-8"), costs), encoding="utf-8")
+
+
+def cost(scene: str, results: Path) -> dict[str, float]:
+    """Jobs, processor time [s] of the jobs, wall time of the build [s] and bytes of the results; and of materials without a camera rig."""
+    examples = PROJECT / "examples"
+    started = time.perf_counter()
+    command = [
+        sys.executable,
+        "-m",
+        "brdfpipe.cli",
+        "build",
+        examples,
+        "--results",
+        results,
+        "--scene",
+        scene,
+        "--cores",
+        "1",
+    ]
+    subprocess.run(command, check=True, capture_output=True)
+    wall = time.perf_counter() - started
+    records = [
+        json.loads(path.read_text(encoding="utf-8"))
+        for path in (results / "logs").rglob("*.json")
+        if path.stem != "build"
+    ]
+    files = [
+        path for path in results.rglob("*") if path.is_file() and path.relative_to(results).parts[0] not in NOT_RESULTS
+    ]
+    plain = {material.name for material in load(examples).materials if not material.has("rig")}
+    own = [record for record in records if record["material"] in plain]
+    return {
+        "jobs": len(records),
+        "cpu_s": round(sum(record["cpu_s"] for record in records), 1),
+        "cpu_without_rig_s": round(sum(record["cpu_s"] for record in own), 1),
+        "wall_s": round(wall, 1),
+        "bytes": sum(path.stat().st_size for path in files),
+        "bytes_without_rig": sum(path.stat().st_size for path in files if plain & set(path.relative_to(results).parts)),
+    }
+
+
+def with_costs(page: str, costs: dict[str, dict[str, float]]) -> str:
+    """The page with its table of costs renewed."""
+    rows = [
+        "| Scene | Jobs | Processor time | without rigs | Bytes | without rigs | `metrology-full` takes, without rigs |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    for name, one in costs.items():
+        times = costs[MOST]["cpu_without_rig_s"] / one["cpu_without_rig_s"]
+        rows.append(
+            f"| `{name}` | {one['jobs']:g} | {one['cpu_s']:.1f} s | {one['cpu_without_rig_s']:.1f} s | {one['bytes'] / 1e6:.1f} MB | "
+            f"{one['bytes_without_rig'] / 1e6:.1f} MB | {times:.1f} × |"
+        )
+    table = "\n".join(rows)
+    return re.sub(
+        r"(<!-- costs -->\n).*?(<!-- end -->)", lambda match: f"{match[1]}{table}\n{match[2]}", page, flags=re.DOTALL
+    )
+
+
+if __name__ == "__main__":
+    main()
