@@ -27,7 +27,10 @@ _RESULTS = (
     Result("veiling_glare", "luminance of a dashboard's image in the windscreen ([veiling glare](veiling-glare.md))"),
     Result("checks", "reciprocity, energy and closure of the BRDF"),
     Result("model_error", "the prediction beside rays and diffraction on its own scan"),
-    Result("uncertainty", "standard uncertainties from the inputs of the BRDF and its model, of all that is asked for"),
+    Result(
+        "uncertainty",
+        "standard uncertainties of the BRDF, gloss, haze, colours and transmission from the inputs of the BRDF and its model",
+    ),
     Result("comparison", "the measured BRDF of a camera rig beside the predicted one"),
     Result("table", "the BRDF on a grid of directions"),
     Result("lambert_gauss", "the parameters of a Lambert and Gauss model"),
