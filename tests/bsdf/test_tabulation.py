@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import rig_primary
 import samples
 
 from brdfpipe import facets, optics, vocabulary
-from brdfpipe.bsdf import lambert_gauss, microfacet, tabulation
+from brdfpipe.bsdf import kirchhoff, lambert_gauss, microfacet, tabulation, traced
 from brdfpipe.bsdf.input_uncertainty import uncertainty
-from brdfpipe.bsdf.registry import representation
+from brdfpipe.bsdf.measured import completion, smoothing
+from brdfpipe.bsdf.registry import REPRESENTATIONS, representation
 from brdfpipe.errors import VocabularyError
 
 GRID = {"theta_i": np.arange(0, 81, 10.0), "theta_o": np.arange(0, 86, 5.0), "phi_o": np.arange(0, 361, 10.0)}
@@ -44,6 +46,43 @@ def test_a_table_has_the_uncertainty_of_each_of_its_values():
     assert table.attrs["uncertainty_not_stated"] == "facets"
     u = table["brdf_u"].sel(theta_i=30, phi_o=180, method="nearest")
     wanted = model.bsdf.uncertainty(float(u["theta_i"]), 0, u["theta_o"].values, float(u["phi_o"])).values
+    np.testing.assert_allclose(u, wanted, rtol=1e-3)
+
+
+def _traced():
+    return traced.build(samples.gaussian_surface(64), index=1.5, spectrum=_coloured(), rays=640)
+
+
+def _kirchhoff():
+    return kirchhoff.build(samples.gaussian_surface(64, sigma=0.02), index=1.5, spectrum=_coloured())
+
+
+def _measured():
+    truth = rig_primary.of_model(samples.beckmann_bsdf(0.1, n=1.5).bsdf.nonspectral())
+    return completion.complete(smoothing.smooth(rig_primary.measured(truth, (10.0, 30.0), (500.0, 600.0), noise=0.01)))
+
+
+def _coloured():
+    return samples.spectrum(np.linspace(0.1, 0.5, samples.WAVELENGTH.size))
+
+
+UNCERTAIN = {"kirchhoff": _kirchhoff, "rig": _measured, "traced": _traced}
+
+
+def test_every_representation_that_states_an_uncertainty_is_tabulated_here():
+    assert set(UNCERTAIN) == {name for name, one in REPRESENTATIONS.items() if one.states_uncertainty}
+
+
+@pytest.mark.parametrize("name", UNCERTAIN)
+def test_a_spectral_table_has_the_uncertainty_of_each_of_its_values(name):
+    # The index is that of all wavelengths, so the uncertainty of traced light does not depend on wavelength, and the diffuse part does.
+    bsdf = UNCERTAIN[name]()
+    table = bsdf.bsdf.tabulate({"theta_i": [0, 20], "theta_o": np.arange(0, 86, 17.0), "phi_o": [0, 90, 180]})
+    assert table.sizes["wavelength"] == bsdf.sizes["wavelength"] > 1
+    assert table["brdf_u"].dims == table["brdf"].dims
+    u = table["brdf_u"].sel(theta_i=20, phi_o=180)
+    wanted = bsdf.bsdf.uncertainty(20, 0, u["theta_o"].values, 180).values
+    assert (wanted > 0).any()
     np.testing.assert_allclose(u, wanted, rtol=1e-3)
 
 

@@ -129,7 +129,8 @@ def _with_uncertainty(table: xr.Dataset, bsdf: xr.Dataset) -> xr.Dataset:
         u = _on_nodes(representation(bsdf).uncertainty, layout, axes, averaged)
     else:
         return table
-    u = u if "wavelength" in dims else u[..., 0]
+    # An uncertainty that does not depend on wavelength has one value for all of them.
+    u = np.broadcast_to(u, table["brdf"].shape) if "wavelength" in dims else u[..., 0]
     if NOT_STATED in bsdf.attrs:
         table = table.assign_attrs({NOT_STATED: bsdf.attrs[NOT_STATED]})
     return vocabulary.label(table.assign(brdf_u=(dims, _to_three_digits(u))), "bsdf")
