@@ -323,17 +323,27 @@ def _model_error(datasets: Datasets) -> Judgement | None:
     verdict = "fail" if excess[1] > 0 else "warn" if excess[0] > 0 else "pass"
     if verdict == "pass" and (unclear := _unclear(peak, result)):
         # An error that may be beyond the limit is not shown to be within it.
-        return Judgement(condition, f"{finding}; known only to {unclear}", "", "Measure a larger area")
+        return Judgement(condition, f"{finding}; {unclear}", "warn", "Measure a larger area")
     advice = str(result.attrs.get("advice", ""))
     return Judgement(condition, finding, verdict, "" if verdict == "pass" else advice[:1].upper() + advice[1:])
 
 
 def _unclear(peak: xr.Dataset, result: xr.Dataset) -> str:
-    """The largest uncertainty of an error, if it is beyond the limit of the error itself; empty otherwise."""
-    of_light = float(peak["light_error_u"].where(peak["valid"] > 0).max())
-    of_gloss = float(result["gloss_error_u"].where(result["gloss_valid"] > 0).max())
-    words = [f"± {of_light:.0%} of the light"] if of_light > ERROR_LIMITS[0] else []
-    return " and ".join([*words, f"± {of_gloss:.1f} gloss units"] if of_gloss > GLOSS_LIMITS[0] else words)
+    """What is not shown of the errors, in words; empty where each of them is known to its limit, and within it."""
+    light = peak[["light_error", "light_error_u"]].where(peak["valid"] > 0)
+    units = result[["gloss_error", "gloss_error_u"]].where(result["gloss_valid"] > 0)
+    return " and ".join(
+        [
+            *_not_shown(light["light_error"], light["light_error_u"], ERROR_LIMITS[0], ".0%", " of the light"),
+            *_not_shown(units["gloss_error"], units["gloss_error_u"], GLOSS_LIMITS[0], ".1f", " gloss units"),
+        ]
+    )
+
+
+def _not_shown(error: xr.DataArray, u: xr.DataArray, limit: float, form: str, unit: str) -> list[str]:
+    if (largest := float(u.max())) > limit:
+        return [f"known only to ± {largest:{form}}{unit}"]
+    return [f"not shown to be within {limit:{form}}{unit}"] if float(abs(error).max()) > limit else []
 
 
 def certain_error(error: xr.DataArray, uncertainty: xr.DataArray) -> xr.DataArray:
