@@ -144,6 +144,28 @@ def test_masking_is_judged_by_what_the_heights_advise():
     assert judgement("height-correlated", untraced).verdict == ""
 
 
+@pytest.mark.parametrize(
+    ("error", "uncertainty", "gloss", "verdict"),
+    [(0.43, 0.03, 16.5, "warn"), (0.43, 0.3, 16.5, "pass"), (0.14, 0.01, 1.1, "pass"), (-0.3, 0.01, 16.5, "warn")],
+)
+def test_smiths_masking_at_grazing_incidence_is_judged_by_the_gloss_that_it_adds(error, uncertainty, gloss, verdict):
+    heights = samples.masking_choice("height-correlated", 0.01)
+    at = {"theta_i": [85.0], "region": ["peak"]}
+    shape = ("theta_i", "region")
+    grazing = xr.Dataset({"smith_error": (shape, [[error]]), "smith_error_u": (shape, [[uncertainty]])}, at)
+    visibility = grazing.assign_attrs(heights.attrs)
+    compared = model_error(0.02, 0.01).assign_coords(gloss_angle=[85.0])
+    compared["gloss_valid"] = xr.zeros_like(compared["gloss_valid"])
+    appearance = xr.Dataset({"gloss": ("gloss_angle", [gloss])}, {"gloss_angle": [85.0]})
+    known = datasets(visibility=visibility, model_error=compared, appearance=appearance)
+    known["predicted"] = known["bsdf"].assign_attrs(masking="height-correlated")
+    found = judged(known)
+    assert found["Masking of facets by their neighbours"].verdict == verdict
+    assert "gloss at 85° is not judged: no reference solution holds there" in found[ERROR].finding
+    compared["gloss_valid"] += 1
+    assert judged(known)["Masking of facets by their neighbours"].verdict == "pass"
+
+
 def test_slopes_of_a_fractal_surface_depend_on_the_pitch():
     spectra = [psd.analytic("k-correlation", sigma=5.0, length=5.0, slope=slope) for slope in (3.0, 4.5)]
     assert [judged(datasets(psd=spectrum))[PITCH].verdict for spectrum in spectra] == ["warn", "pass"]
@@ -151,7 +173,7 @@ def test_slopes_of_a_fractal_surface_depend_on_the_pitch():
 
 @pytest.mark.parametrize(
     ("pitch", "unresolved", "verdict"),
-    [(20.0, 0.05, "fail"), (2.0, 0.05, "warn"), (20.0, 0.001, "pass"), (20.0, 0.0, "pass")],
+    [(20.0, 0.05, "fail"), (2.0, 0.05, "warn"), (20.0, 0.001, "warn"), (20.0, 0.0, "warn"), (2.0, 0.0, "pass")],
 )
 @pytest.mark.parametrize("optics", ["facets", "auto"])
 def test_a_plateau_that_may_be_roughness_is_judged_with_waves_too(pitch, unresolved, verdict, optics):
@@ -160,7 +182,8 @@ def test_a_plateau_that_may_be_roughness_is_judged_with_waves_too(pitch, unresol
     found = judged(known | {"bsdf": known["bsdf"].assign_attrs(optics=optics)})[PITCH]
     assert found.verdict == verdict
     # g = (4π · 50 nm · cos 20°/550 nm)²
-    assert ("a plateau of 50 nm, g = 1.2 at 20°" in found.finding) == (verdict != "pass")
+    assert ("a plateau of 50 nm, g = 1.2 at 20°" in found.finding) == (unresolved == 0.05)
+    assert ("roughness finer than the pitch was not measured" in found.finding) == (pitch == 20 and unresolved < 0.05)
 
 
 def test_a_plateau_of_either_face_of_a_sheet_is_judged():

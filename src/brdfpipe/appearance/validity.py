@@ -22,6 +22,7 @@ from brdfpipe.bsdf.microfacet.phase_variance import (
 from brdfpipe.bsdf.wave import missed_light
 from brdfpipe.flakes.refraction import largest_flake_angle
 from brdfpipe.geometry import Array
+from brdfpipe.masking.modes import LARGEST_COMPARED
 
 COHERENT_LIMIT = float(np.log(2))
 """Phase variance below which more than half of the mirror reflection is coherent light, which facets leave out."""
@@ -41,7 +42,7 @@ SLOPE_OF_FINITE_VARIANCE = 4.0
 """Exponent of the roughness spectrum above which the variance of the slope does not depend on the pitch."""
 
 COARSE_PITCH = 10.0
-"""Pitch in wavelengths above which a plateau that may be finer roughness is a failure."""
+"""Pitch in wavelengths above which roughness finer than it counts as not measured, and a plateau that may be finer roughness is a failure."""
 ALIASED = 1.7
 """Slope over one pixel over that over two above which heights are hardly related: of white ones it is 2, of a spectrum that falls as f^−2.5 1.68."""
 
@@ -196,6 +197,9 @@ def _pitch(datasets: Datasets) -> Judgement | None:
         coarse = pitch > COARSE_PITCH * _WAVELENGTH
         advice = "Scan the same place twice (`repeat: true`) to tell noise from roughness, or with a pitch near the wavelength"
         return Judgement(condition, finding, "fail" if coarse else "warn", advice)
+    if pitch > COARSE_PITCH * _WAVELENGTH:
+        advice = "Scan a part of the surface with a pitch near the wavelength too, and name it in `surface.scans`"
+        return Judgement(condition, f"{finding}; roughness finer than the pitch was not measured", "warn", advice)
     if np.isnan(psd["fit_slope"]):
         return Judgement(condition, finding, "pass")
     exponent, uncertainty = float(psd["fit_slope"]), float(psd["fit_slope_u"])
@@ -295,7 +299,29 @@ def _masking(datasets: Datasets) -> Judgement | None:
         return Judgement(condition, f"{used}; {reason}", "warn", advice)
     if "smith_error" not in datasets["visibility"]:
         return Judgement(condition, f"{used}; {reason}", "")
+    if missed := _grazing_gloss_missed(datasets):
+        return Judgement(condition, f"{used}; {reason}; {missed}", "warn", "Set `model.masking: measured`")
     return Judgement(condition, f"{used}; {reason}", "pass")
+
+
+def _grazing_gloss_missed(datasets: Datasets) -> str:
+    """What Smith's masking adds to the gloss at an angle that no reference solution judges, by the light of the facets of the heights; empty
+    below the limit of gloss."""
+    result, appearance, visibility = (datasets.get(name) for name in ("model_error", "appearance", "visibility"))
+    if result is None or appearance is None or visibility is None or "gloss" not in appearance:
+        return ""
+    peak = visibility[["smith_error", "smith_error_u"]].sel(region="peak")
+    for angle in _unjudged_gloss(result):
+        if angle <= LARGEST_COMPARED or not {angle} <= set(peak["theta_i"].values) & set(
+            appearance["gloss_angle"].values
+        ):
+            continue
+        at, gloss = peak.sel(theta_i=angle), float(appearance["gloss"].sel(gloss_angle=angle))
+        excess = gloss * (1 - 1 / (1 + float(at["smith_error"])))
+        if float(certain_error(at["smith_error"], at["smith_error_u"])) > 0 and abs(excess) > GLOSS_LIMITS[0]:
+            words = f"{float(at['smith_error']):+.0%} of the light in the peak at {angle:g}°, about {excess:+.1f} of {gloss:.1f} gloss units"
+            return f"it gives {words}".replace("-", "−")
+    return ""
 
 
 def _model_error(datasets: Datasets) -> Judgement | None:
@@ -315,17 +341,25 @@ def _model_error(datasets: Datasets) -> Judgement | None:
         return Judgement(condition, "no reference solution holds", "warn", "Compare with a measurement")
     known = peak["theta_i"].values[~np.isnan(error).all(axis=(0, 1))]
     excess, of_light = _largest_error(peak["light_error"].where(peak["valid"] > 0), peak["light_error_u"], ERROR_LIMITS)
-    finding = f"in the peak {of_light('.1%')}, the most significant of {known.min():g} to {known.max():g}°"
+    finding = f"in the peak {of_light('.1%')}, of {known.min():g} to {known.max():g}°"
     units = result["gloss_error"].where(result["gloss_valid"] > 0)
     if units.notnull().any():
         of_gloss, words = _largest_error(units, result["gloss_error_u"], GLOSS_LIMITS)
         finding, excess = f"{finding}; gloss {words('.1f')}", np.maximum(excess, of_gloss)
+    if unjudged := _unjudged_gloss(result):
+        finding += f"; gloss at {' and '.join(f'{angle:g}°' for angle in unjudged)} is not judged: no reference solution holds there"
     verdict = "fail" if excess[1] > 0 else "warn" if excess[0] > 0 else "pass"
     if verdict == "pass" and (unclear := _unclear(peak, result)):
         # An error that may be beyond the limit is not shown to be within it.
         return Judgement(condition, f"{finding}; {unclear}", "warn", "Measure a larger area")
     advice = str(result.attrs.get("advice", ""))
     return Judgement(condition, finding, verdict, "" if verdict == "pass" else advice[:1].upper() + advice[1:])
+
+
+def _unjudged_gloss(result: xr.Dataset) -> list[float]:
+    """Angles of gloss at which no reference solution holds."""
+    held = (result["gloss_valid"] > 0).any([dim for dim in result["gloss_valid"].dims if dim != "gloss_angle"])
+    return [float(angle) for angle in result["gloss_angle"].values[~held.values]]
 
 
 def _unclear(peak: xr.Dataset, result: xr.Dataset) -> str:
@@ -354,12 +388,12 @@ def certain_error(error: xr.DataArray, uncertainty: xr.DataArray) -> xr.DataArra
 def _largest_error(
     error: xr.DataArray, u: xr.DataArray, limits: tuple[float, float]
 ) -> tuple[Array, Callable[[str], str]]:
-    """By how much the most significant error exceeds each limit, and its words: value ± u and angle, in a number format."""
+    """By how much the most significant error exceeds each limit; and the words of the error that decides, value ± u and angle, in a number format."""
     angle = next(str(dim) for dim in error.dims if str(dim) in ("theta_i", "gloss_angle"))
     error, u = xr.broadcast(error, u)
     certain = certain_error(error, u).values
-    # Where nothing is significant, the largest error.
-    at = np.nanargmax(certain if np.nanmax(certain) > 0 else abs(error).values)
+    # Where none certainly exceeds its limit, the largest error.
+    at = np.nanargmax(certain if np.nanmax(certain) > limits[0] else abs(error).values)
     value, at_u = float(error.values.flat[at]), float(u.values.flat[at])
     row = np.unravel_index(at, error.shape)[error.dims.index(angle)]
 

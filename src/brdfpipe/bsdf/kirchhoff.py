@@ -122,12 +122,19 @@ def build(
         return np.asarray(coherent[0] + diffracted(theta_i, half_angle))
 
     bsdf = with_base(bsdf, reflected, spectrum, trapped)
-    if abs(scaling - 1) > SCALING_LIMIT:
-        warnings.append(
-            f"diffracted light was scaled by {scaling:.2f} to all that is not coherent: the map is few waves wide; measure a larger area"
-        )
+    warnings += light_warnings(bsdf)
     warnings += _limits(surface, found.coarse, float(found.frequency[-1]), float(given[0]))
     return vocabulary.label(vocabulary.add_warning(bsdf, *warnings), "bsdf")
+
+
+def light_warnings(bsdf: xr.Dataset) -> list[str]:
+    """A warning where the light that the map diffracts is not all that is not coherent."""
+    scaling = float(bsdf.attrs["diffracted_light_scaling"])
+    if abs(scaling - 1) <= SCALING_LIMIT:
+        return []
+    return [
+        f"diffracted light was scaled by {scaling:.2f} to all that is not coherent: the map is few waves wide; measure a larger area"
+    ]
 
 
 def _limits(surface: xr.Dataset, coarse: float, nyquist: float, shortest: float) -> list[str]:

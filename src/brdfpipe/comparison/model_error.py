@@ -15,6 +15,7 @@ from brdfpipe.appearance.gloss_meter import gloss
 from brdfpipe.appearance.validity import ERROR_LIMITS, GLOSS_LIMITS, LARGEST_JUDGED, REFERENCES, certain_error
 from brdfpipe.bsdf import kirchhoff, traced
 from brdfpipe.bsdf.change_variables import MODEL_INCIDENCES, MODEL_REGIONS
+from brdfpipe.bsdf.kirchhoff import light_warnings
 from brdfpipe.bsdf.nonspectral import nonspectral, normalised_response
 from brdfpipe.bsdf.reference_solution import GEOMETRIC, WAVELENGTH, facet_smoothness, holds, phase_variance
 from brdfpipe.bsdf.registry import representation
@@ -135,7 +136,10 @@ def model_error(
     result["phase_variance"] = "theta_i", variance
     result.attrs = {"rays": rays, "seed": seed, "refusals": json.dumps(refusals, ensure_ascii=False)}
     result.attrs["advice"] = _advice(result, predicted)
-    return vocabulary.label(vocabulary.add_warning(result, *_warnings(result, predicted)), "model_error")
+    texts = _warnings(result, predicted)
+    if diffraction is not None and held[1].any():
+        texts += [f"diffraction on the map: {text}" for text in light_warnings(diffraction[0])]
+    return vocabulary.label(vocabulary.add_warning(result, *texts), "model_error")
 
 
 def _diffraction(surface: xr.Dataset, index: xr.Dataset) -> xr.Dataset:

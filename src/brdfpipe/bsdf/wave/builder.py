@@ -654,14 +654,15 @@ def _limits(bsdf: xr.Dataset, psd: xr.Dataset, correlation: height_transform.Aut
             )
     if "facet_share" in bsdf and bsdf["facet_share"].values[0].min() >= FACETS_ALONE:
         return texts  # waves matter near grazing alone, where coarse roughness scatters
-    if psd.attrs["form"] == "measured":
-        beyond = 1 - (known_rms_height(psd) / sigma) ** 2
-        if beyond > EXTRAPOLATED_LIMIT:
-            texts.append(
-                f"{100 * beyond:.0f} % of the mean square height are beyond the band of the roughness spectrum, from its fitted form. Scan "
-                "with a smaller pitch"
-            )
-    if psd.attrs["form"] == "measured" and float(psd["band_high"]) < 1 / shortest:
+    beyond = max(0.0, 1 - (known_rms_height(psd) / sigma) ** 2) if psd.attrs["form"] == "measured" else 0.0
+    if beyond > EXTRAPOLATED_LIMIT:
+        texts.append(
+            f"{100 * beyond:.0f} % of the mean square height are beyond the band of the roughness spectrum, from its fitted form. Scan "
+            "with a smaller pitch"
+        )
+    # The share of the light that roughness beyond the band scatters, by the fitted form.
+    scattered = beyond * (4 * np.pi * sigma / shortest) ** 2
+    if psd.attrs["form"] == "measured" and float(psd["band_high"]) < 1 / shortest and scattered > ENERGY_LIMIT:
         texts.append(
             f"the roughness spectrum is measured up to {float(psd['band_high']):.3g} µm⁻¹; light scattered by more than "
             f"{np.degrees(np.arcsin(min(1.0, float(psd['band_high']) * shortest))):.2g}° at {1e3 * shortest:g} nm and normal incidence "
