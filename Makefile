@@ -15,7 +15,7 @@ ifneq ($(shell cat $(VENV)/.place 2>/dev/null),$(CURDIR))
 $(VENV)/bin/python $(VENV)/.runtime $(VENV)/.dev $(VENV)/.instruments $(VENV)/.peers: moved
 endif
 
-.PHONY: moved help catalogue check instruments peers test test-full lint format lock keys examples benchmark accuracy extremes rig-accuracy clean
+.PHONY: moved help catalogue check instruments peers test test-full lint format lock keys examples benchmark accuracy tradeoff extremes rig-accuracy clean
 .DEFAULT_GOAL := help
 
 help:  ## list the targets
@@ -63,6 +63,9 @@ accuracy: $(VENV)/.runtime  ## compare every model of a surface with reference s
 
 extremes: $(VENV)/.dev  ## run every stage at the extremes of its inputs; write docs/extremes.md (two minutes)
 	@$(BIN)/python benchmarks/extremes.py
+
+tradeoff: $(VENV)/.dev  ## measure error and cost of every candidate model for every scene (an hour)
+	@$(BIN)/python benchmarks/tradeoff.py
 
 rig-accuracy: $(VENV)/.runtime  ## measure samples of known BSDF with emulated rigs; write docs/rig-accuracy.md (some minutes)
 	@$(BIN)/python benchmarks/rig_accuracy.py

@@ -75,6 +75,14 @@ class Subject:
         return next((route for part, route in ROUTES if part in self.owner.content), "predicted")
 
     @property
+    def planned(self) -> bool:
+        """Whether the model is the cheapest that the scene allows; keys of ``model`` decide themselves."""
+        content = self.owner.content
+        opaque_surface = "slab" not in content and content.get("surface", {}).get("distribution") != "flat"
+        known = "surface" in content and "index" in content and opaque_surface and not content.get("model")
+        return self.scene is not None and self.scene.plans and self.route == "predicted" and known
+
+    @property
     def predicts(self) -> bool:
         """Whether a prediction is needed: as the BSDF, or beside a measured one."""
         return self.route == "predicted" or self.asks("comparison")
@@ -174,6 +182,12 @@ class Stage:
 def _has(part: str, words: str = "") -> Condition:
     """See :meth:`brdfpipe.catalogue.material.Material.has`."""
     return Condition(words or f"`{part}`", lambda subject: subject.owner.has(part))  # type: ignore[union-attr]
+
+
+_FULLEST = Condition("a scene with the fullest model", lambda subject: not subject.planned)
+_PLANNED = Condition(
+    "a scene with the cheapest model, `surface`, `index`, no `slab`, no `model`", lambda subject: subject.planned
+)
 
 
 def _names_file(part: str, key: str) -> Condition:
@@ -343,6 +357,10 @@ def _base_of_reference(subject: Subject, wildcards: Wildcards) -> dict[str, Any]
 
 def _route(subject: Subject, wildcards: Wildcards) -> dict[str, Any]:
     return {"route": subject.route}
+
+
+def _plan(subject: Subject, wildcards: Wildcards) -> dict[str, Any]:
+    return {} if subject.scene is None else subject.scene.accepted_error
 
 
 def source_of_bsdf(subject: Subject) -> str:
@@ -534,7 +552,7 @@ _STAGES = (
     Stage(
         "visibility",
         "the visibility of the facets, traced on their heights, where Smith's masking does not describe it",
-        when=_MEASURED_RELIEF & _TRACED_MASKING & _PREDICTED,
+        when=_MEASURED_RELIEF & _TRACED_MASKING & _PREDICTED & _FULLEST,
         keys=StageKeys(("model.masking",), (), lambda subject, _: {"masking": _masking(subject)}),
         memory=2000,
         of_prediction=True,
@@ -556,7 +574,7 @@ _STAGES = (
     Stage(
         "interreflection",
         "the light that the height map reflects more than once, traced on it, where there is enough of it",
-        when=_MEASURED_RELIEF & _TRACED_REFLECTIONS & _OPAQUE & _PREDICTED,
+        when=_MEASURED_RELIEF & _TRACED_REFLECTIONS & _OPAQUE & _PREDICTED & _FULLEST,
         keys=StageKeys(
             ("model.multiple_scattering",),
             (),
@@ -585,7 +603,7 @@ _STAGES = (
     Stage(
         "predicted",
         "the BSDF that facets, index and spectrum predict",
-        when=_has("predicted", "`surface`, or a `spectrum` alone") & _OPAQUE & _PREDICTED,
+        when=_has("predicted", "`surface`, or a `spectrum` alone") & _OPAQUE & _PREDICTED & _FULLEST,
         keys=StageKeys(("model",), (), _facet_model),
         kind="bsdf",
         of_prediction=True,
@@ -602,7 +620,7 @@ _STAGES = (
     Stage(
         "wave",
         "the BSDF that the roughness spectrum predicts by wave optics, joined with that of facets",
-        when=_has("predicted", "`surface`") & _KNOWN_ROUGHNESS & _WAVES & _OPAQUE & _PREDICTED,
+        when=_has("predicted", "`surface`") & _KNOWN_ROUGHNESS & _WAVES & _OPAQUE & _PREDICTED & _FULLEST,
         keys=StageKeys(("model",), (), _wave_model),
         kind="bsdf",
         of_prediction=True,
@@ -731,11 +749,27 @@ _STAGES = (
     Stage(
         "nominal_bsdf",
         "the same without the changes by the uncertainties of its inputs",
-        when=Condition("a scene that does not ask for `uncertainty`", lambda subject: not subject.asks("uncertainty")),
+        when=Condition("a scene that does not ask for `uncertainty`", lambda subject: not subject.asks("uncertainty"))
+        & _FULLEST,
         keys=StageKeys(read=_route),
         script="bsdf",
         reported=False,
         stands_for="bsdf",
+    ),
+    Stage(
+        "plan",
+        "the cheapest model whose error the scene accepts, by what was measured on like materials",
+        when=_PLANNED,
+        keys=StageKeys(read=_plan),
+    ),
+    Stage(
+        "planned",
+        "the BSDF of that model",
+        when=_PLANNED,
+        kind="bsdf",
+        reported=False,
+        stands_for="bsdf",
+        memory=2000,
     ),
     Stage("checks", "reciprocity, energy and closure", when=_asked("checks")),
     Stage(

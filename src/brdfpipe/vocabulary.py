@@ -446,6 +446,19 @@ QUANTITIES: Mapping[str, Quantity] = {
     "flop_index": Quantity("1", "flop index", missing=True),
     "picture": Quantity("1", "sRGB picture of a material", 0, 255),
     "srgb": Quantity("1", "sRGB preview colour", 0, 1, missing=True),
+    # Plan of a scene
+    "error_bound": Quantity(
+        "1",
+        "bound of the error of a candidate, in the unit of the scene's metric; missing where too few like materials were tried",
+        0,
+        missing=True,
+    ),
+    "expected_cost": Quantity(
+        "s", "processor time that the model of a candidate takes for like materials", 0, missing=True
+    ),
+    "similar_materials": Quantity("1", "number of like materials on which a candidate was tried", 0),
+    "chosen": Quantity("1", "whether the candidate was chosen", 0, 1),
+    "feature_value": Quantity("1", "feature by which materials resemble each other"),
     # Camera rig
     "counts": Quantity("1", "counts of the camera", 0),
     "shot": Quantity("1", "number of an exposure in its plan", 1),
@@ -517,7 +530,16 @@ _FACETS = Kind(
     attributes=("method", "band"),
 )
 
+_CANDIDATE: Sequence[tuple[str, ...]] = [("candidate",)]
+
 KINDS: Mapping[str, Kind] = {
+    "plan": Kind(
+        {
+            **dict.fromkeys(("error_bound", "expected_cost", "similar_materials", "chosen"), _CANDIDATE),
+            "feature_value": [("feature",)],
+        },
+        attributes=("scene", "metric", "unit", "tolerance", "choice"),
+    ),
     "surface": Kind({"height": [("y", "x"), ("x",)]}, attributes=("pitch_x", "levelling", "band")),
     "facets": _FACETS,
     "psd": Kind(

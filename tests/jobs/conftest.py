@@ -54,7 +54,7 @@ def project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     folder = tmp_path / "project"
     folder.mkdir()
     shutil.copy(source / "Snakefile", folder)
-    shutil.copytree(source / "config", folder / "config")
+    shutil.copytree(source / "config", folder / "config", ignore=shutil.ignore_patterns("experience"))
     for part in ("rules", "profiles"):
         shutil.copytree(source / "workflow" / part, folder / "workflow" / part)
     (folder / "workflow" / "scripts").mkdir()

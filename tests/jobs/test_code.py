@@ -271,6 +271,9 @@ def test_the_digest_of_a_stage_covers_every_module_that_its_run_loads(tmp_path: 
     run("measured", {"smoothed": ["smoothed"]}, same("measured"), {})
     run("comparison", {"predicted": "plain", **same("primary", "facets", "index", "spectrum")}, same("comparison"))
     run("bsdf", {"predicted": "plain", **same("uncertainty")}, same("bsdf"))
+    scene = {"scene": "gloss-sheet", "metric": "gloss", "unit": "GU", "tolerance": 1.0, "errors_of": ""}
+    run("plan", same("facets", "psd", "index", "spectrum"), same("plan"), scene)
+    run("planned", same("facets", "psd", "index", "spectrum", "plan"), {"bsdf": "planned"}, {})
     run("checks", same("bsdf"), same("checks"))
     run("appearance", same("bsdf"), same("appearance"))
     run("preview", same("bsdf"), same("preview", "png"))

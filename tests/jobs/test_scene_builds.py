@@ -87,6 +87,30 @@ def test_the_default_scene_is_the_same_after_another_one(folder: Path, results: 
     assert build(folder, results).jobs == 0
 
 
+def test_a_model_is_planned_unless_the_material_has_keys_of_the_model(
+    folder: Path, results: Path, project: Path
+) -> None:
+    experience = project / "config" / "scenes" / "experience" / "gloss-sheet.json"
+    experience.parent.mkdir()
+    experience.write_text("errors")
+    with (folder / "second" / "material.yaml").open("a") as description:
+        description.write("model: {optics: facets}\n")
+    build(folder, results, "gloss-sheet")
+    place = results / "scenes" / "gloss-sheet"
+    assert {path.name for path in (place / "first").iterdir()} == {
+        "plan.nc",
+        "planned.nc",
+        "appearance.nc",
+        "summary.nc",
+    }
+    assert {path.name for path in (place / "second").iterdir()} == {"appearance.nc", "summary.nc"}
+    assert {"second/predicted.nc", "second/nominal_bsdf.nc"} <= files(results)
+    assert not {"first/predicted.nc", "first/wave.nc", "first/nominal_bsdf.nc"} & files(results)
+    assert build(folder, results, "gloss-sheet").jobs == 0
+    experience.write_text("other errors")
+    assert build(folder, results, "gloss-sheet").jobs > 0
+
+
 def test_a_scene_of_a_file_is_used_and_its_edit_reruns_what_it_changes(
     folder: Path, results: Path, tmp_path: Path
 ) -> None:

@@ -12,11 +12,11 @@ from brdfpipe.catalogue.catalogue import load
 from brdfpipe.catalogue.configuration import load_config
 from brdfpipe.errors import BrdfpipeError, InputError
 from brdfpipe.exchange.registry import FORMATS
-from brdfpipe.scenes import geometries
+from brdfpipe.scenes import geometries, scene
 from brdfpipe.scenes.metrics import METRICS
 from brdfpipe.scenes.results import PARTS, RESULTS
 from brdfpipe.scenes.scene import Scene, load_scene, refuse_different, shipped_scenes
-from brdfpipe.scenes.scene_keys import METRIC_NAMES
+from brdfpipe.scenes.scene_keys import METRIC_UNITS
 from brdfpipe.stages import STAGES, Subject
 
 COLOUR = "spectrum: {lab: [50, 0, 0], illuminant: D65, observer: 10, geometry: sci}\n"
@@ -49,7 +49,7 @@ def test_every_shipped_scene_is_read_by_its_name() -> None:
 
 def test_the_vocabulary_agrees_with_what_computes_it() -> None:
     assert computation.PARTS == PARTS
-    assert tuple(METRICS) == METRIC_NAMES
+    assert list(METRICS) == list(METRIC_UNITS)
 
 
 def test_an_absent_key_has_its_default(tmp_path: Path) -> None:
@@ -176,7 +176,10 @@ def stages_of(subject: Subject) -> set[str]:
     return {name for name, stage in STAGES.items() if stage.owner_kind == "material" and stage.jobs(subject)}
 
 
-def test_a_stage_runs_only_where_its_result_is_asked_for(subjects: dict[str, Subject]) -> None:
+def test_a_stage_runs_only_where_its_result_is_asked_for(
+    subjects: dict[str, Subject], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(scene, "experience_file", lambda name: tmp_path / name)
     shared = {"surface", "facets", "psd", "visibility", "spectrum", "index", "interreflection", "predicted", "wave"}
     nominal = {*shared, "nominal_bsdf", "summary"}
     everything = stages_of(subjects["metrology-full"])
@@ -188,6 +191,21 @@ def test_a_stage_runs_only_where_its_result_is_asked_for(subjects: dict[str, Sub
     assert stages_of(subjects["catalogue"]) == everything
     assert everything >= {*shared, "bsdf", "model_error", "uncertainty", "lambert_gauss", "report"}
     assert "nominal_bsdf" not in everything
+
+
+def test_a_model_is_planned_where_errors_were_measured_for_the_scene(
+    subjects: dict[str, Subject], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    (tmp_path / "tried").touch()
+    monkeypatch.setattr(scene, "experience_file", lambda name: tmp_path / "tried")
+    planned = {"surface", "facets", "psd", "spectrum", "index", "plan", "planned", "summary"}
+    assert stages_of(subjects["gloss-sheet"]) == {*planned, "appearance"}
+    for name in ("catalogue", "metrology-full"):
+        assert not {"plan", "planned"} & stages_of(subjects[name])
+    content = {**load_scene("gloss-sheet").content, "model": "fullest"}
+    fullest = Subject(subjects["catalogue"].owner, subjects["catalogue"].config, (), Scene("mine", content))
+    assert {"predicted", "wave", "nominal_bsdf"} <= stages_of(fullest)
+    assert "plan" not in stages_of(fullest)
 
 
 def test_a_table_is_computed_for_a_format_that_takes_it(subjects: dict[str, Subject]) -> None:

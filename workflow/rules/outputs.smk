@@ -25,6 +25,21 @@ use rule stage_template as nominal_bsdf with:
         bsdf="{material}/nominal_bsdf.nc",
 
 
+use rule stage_template as plan with:
+    input:
+        **results_of("surface", "facets", "psd", "index", "spectrum"),
+        experience=pipeline.experience,
+    output:
+        plan="{scene}{material}/plan.nc",
+
+
+use rule stage_template as planned with:
+    input:
+        **results_of("surface", "facets", "psd", "index", "spectrum", "plan"),
+    output:
+        bsdf="{scene}{material}/planned.nc",
+
+
 use rule stage_template as checks with:
     input:
         **results_of("bsdf"),

@@ -15,7 +15,7 @@ from brdfpipe.catalogue.names import CALIBRATIONS, CatalogueError
 from brdfpipe.jobs import code, pool
 from brdfpipe.jobs.runs import planned_runs, results_folder
 from brdfpipe.jobs.stage import Job
-from brdfpipe.scenes.scene import DEFAULT, FOLDER, Scene
+from brdfpipe.scenes.scene import DEFAULT, FOLDER, Scene, experience_file
 from brdfpipe.stages import STAGES, Stage, Subject, source_of_bsdf
 from brdfpipe.store import canonical_json
 
@@ -85,6 +85,11 @@ class Pipeline:
         """The dataset that becomes the BSDF, by its stage."""
         source = source_of_bsdf(self.subject(self._owner(wildcards)))
         return {source: self._result(STAGES[source])(wildcards)}
+
+    def experience(self, wildcards: Any) -> Any:
+        """The errors that were measured for the scene of a material on other materials, if there are any."""
+        file = experience_file(self.catalogue[wildcards.material].scene.name)
+        return str(file) if file.is_file() else []
 
     def of_materials(self, stage: str) -> InputFunction:
         """The result of a stage, of all materials of a scene that have it."""

@@ -16,7 +16,7 @@ from brdfpipe.descriptions.keys import NAME, NAME_WORDS
 from brdfpipe.errors import BrdfpipeError, InputError
 from brdfpipe.scenes.domain import Domain
 from brdfpipe.scenes.results import PARTS
-from brdfpipe.scenes.scene_keys import AS_MATERIAL, SceneKeys
+from brdfpipe.scenes.scene_keys import AS_MATERIAL, CHEAPEST, METRIC_UNITS, SceneKeys
 from brdfpipe.store import canonical_json
 
 DEFAULT = "catalogue"
@@ -62,10 +62,39 @@ class Scene:
         """The parts of the appearance that it asks for."""
         return tuple(part for part in PARTS if self.asks(part))
 
+    @property
+    def plans(self) -> bool:
+        """Whether the cheapest model is taken: errors were measured for the scene, and it asks for no uncertainty, which is of the fullest one."""
+        wanted = self.content["model"] == CHEAPEST and not self.asks("uncertainty", "model_error", "comparison")
+        return wanted and experience_file(self.name).is_file()
+
+    @property
+    def accepted_error(self) -> dict[str, Any]:
+        """Metric, unit, tolerance and the digest of what else of the scene decides how large an error is."""
+        metric = self.content["metric"]
+        given = {
+            "scene": self.name,
+            "metric": metric,
+            "unit": METRIC_UNITS[metric],
+            "tolerance": self.content["tolerance"],
+        }
+        return given | {"errors_of": self.errors_of}
+
+    @property
+    def errors_of(self) -> str:
+        """Digest of what of the scene decides how large the error of a model is."""
+        decisive = {name: self.content[name] for name in ("metric", "domain", "bands", "polarisation")}
+        return hashlib.sha256(canonical_json(decisive).encode()).hexdigest()[:16]
+
     def exports(self, of_material: Sequence[str]) -> tuple[str, ...]:
         """Formats of the files for other programs; ``of_material``: those that the material names."""
         formats = self.content["exports"]
         return tuple(of_material if formats == AS_MATERIAL else formats)
+
+
+def experience_file(name: str) -> Path:
+    """The file of the errors that were measured for a scene; it may not exist."""
+    return installation.project_folder() / "config" / "scenes" / "experience" / f"{name}.json"
 
 
 def shipped_scenes() -> dict[str, Path]:

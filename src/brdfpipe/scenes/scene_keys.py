@@ -16,8 +16,11 @@ from brdfpipe.scenes.results import RESULTS
 BANDS = ("photopic", "rgb")
 POLARISATIONS = ("unpolarised", "mueller")
 
-METRIC_NAMES = ("glare", "colour", "gloss", "rendering")
-"""Those of :data:`brdfpipe.scenes.metrics.METRICS`, which is slow to import."""
+METRIC_UNITS = {"glare": "relative", "colour": "ΔE00", "gloss": "GU", "rendering": "ΔE_ITP"}
+"""Unit in words by metric, of those of :data:`brdfpipe.scenes.metrics.METRICS`, which is slow to import."""
+
+CHEAPEST = "cheapest"
+MODELS = (CHEAPEST, "fullest")
 
 AS_MATERIAL = "material"
 """The scene exports the formats that each material names."""
@@ -76,10 +79,15 @@ class SceneKeys(Keys):
         "for `veiling_glare`: windscreen, light and driver {windscreen, sun, sky, line_of_sight, distance, material_azimuth}",
         details="See [veiling glare](veiling-glare.md).",
     )
-    metric: Annotated[str, OneOf(METRIC_NAMES)] = key(
-        "the error that matters: glare (relative), colour (ΔE00), gloss (GU) or rendering (ΔE_ITP)", required=True
+    metric: Annotated[str, OneOf(tuple(METRIC_UNITS))] = key(
+        f"the error that matters: {', '.join(f'{name} ({unit})' for name, unit in METRIC_UNITS.items())}", required=True
     )
     tolerance: float = key("the error that is accepted, in the unit of the metric", required=True, gt=0)
+    model: Annotated[str, OneOf(MODELS)] = key(
+        "the model of surfaces: cheapest, the cheapest whose error on like materials the scene accepts; or fullest",
+        default=CHEAPEST,
+        details="`uncertainty`, `model_error` and `comparison` are of the fullest model; keys of `model` in material.yaml decide themselves.",
+    )
     budget: Budget = key("what one material may cost {seconds, bytes}")
 
     @model_validator(mode="after")

@@ -19,6 +19,7 @@ from brdfpipe.report.material.colour import colour_section
 from brdfpipe.report.material.head import key_numbers, picture
 from brdfpipe.report.material.inputs import effect_pigment_section, facet_section, spectrum_section, surface_section
 from brdfpipe.report.material.model_error import model_error_section
+from brdfpipe.report.material.plan import plan_section
 from brdfpipe.report.material.reflection import lambert_gauss_section, reflection_section
 from brdfpipe.report.material.roughness import roughness_section
 from brdfpipe.report.rendering import material_name, own_stages, render
@@ -51,6 +52,7 @@ def material_page(datasets: Mapping[str, xr.Dataset], *, description: str = "", 
         roughness_section(known),
         facet_section(known),
         model_error_section(known),
+        plan_section(known),
     ]
     sections = [
         reflection_section(known),

@@ -1,0 +1,45 @@
+"""The model that a scene needs: candidates, their errors and costs, and the choice."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+import xarray as xr
+
+from brdfpipe.report.cards import Section, Table
+from brdfpipe.report.formatting import MISSING
+from brdfpipe.scenes.ladders import LADDERS, Candidate
+
+_TITLE = "The cheapest model that the scene accepts"
+
+
+def plan_section(datasets: Mapping[str, xr.Dataset]) -> Section:
+    """Candidates by cost, with the errors that they had on like materials; empty without a plan."""
+    section = Section(_TITLE)
+    if (plan := datasets.get("plan")) is None:
+        return section
+    costs = plan["expected_cost"].values
+    order = np.argsort(np.where(np.isnan(costs), np.inf, costs), kind="stable")
+    rows = [_row(plan, int(at)) for at in order]
+    unit, tolerance = plan.attrs["unit"], float(plan.attrs["tolerance"])
+    columns = ("Model, by what it leaves out", f"Error, at most [{unit}]", "Processor time [s]", "Like materials", "")
+    accepted = (
+        f"The scene {plan.attrs['scene']} accepts an error of {tolerance:g} {unit}, metric {plan.attrs['metric']}. "
+    )
+    history = str(plan.attrs.get("history", "")).splitlines()
+    section.tables.append(Table("Models of the surface", columns, rows, accepted + (history[-1] if history else "")))
+    return section
+
+
+def _row(plan: xr.Dataset, at: int) -> tuple[str, ...]:
+    candidate = Candidate(**{name: str(plan[f"rung_{name}"].values[at]) for name in LADDERS})
+    error, cost = (float(plan[name].values[at]) for name in ("error_bound", "expected_cost"))
+    neighbours = int(plan["similar_materials"].values[at])
+    return (
+        str(candidate),
+        MISSING if np.isnan(error) else f"{error:.2g}",
+        MISSING if np.isnan(cost) else f"{cost:.2g}",
+        str(neighbours),
+        "chosen" if plan["chosen"].values[at] else "",
+    )

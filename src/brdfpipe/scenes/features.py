@@ -1,0 +1,89 @@
+"""Numbers by which materials resemble each other: how they scatter follows from these, before any BSDF is built."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+
+from brdfpipe.facets.facet_dataset import azimuthal_average
+from brdfpipe.facets.radial_density import RadialDensity
+from brdfpipe.geometry import Array
+from brdfpipe.optics.fresnel_equations import fresnel
+from brdfpipe.optics.index import interpolate_index
+from brdfpipe.scenes.model_inputs import ONE_WAVELENGTH, ModelInputs
+from brdfpipe.spectra import colorimetry
+
+FEATURES = {
+    "log_slope": 0.35,
+    "tail": 0.15,
+    "log_height": 0.5,
+    "slope_lowness": 0.08,
+    "height_skewness": 0.6,
+    "log_anisotropy": 0.35,
+    "log_mirror": 0.5,
+    "diffuse": 0.25,
+}
+"""Feature → the difference that counts as 1. Beyond a distance of some units materials do not resemble each other."""
+
+_LARGEST_HEIGHT = 3.0
+"""Rms height over the wavelength beyond which coherent light is nothing at any angle, [1]."""
+
+
+def features(inputs: ModelInputs) -> dict[str, float]:
+    """The features of a material with slopes.
+
+    - ``log_slope``: ln of the median slope of the facets
+    - ``tail``: ln of the rms slope over the median slope
+    - ``log_height``: ln of the rms height over 555 nm, at most 3; 0 without a roughness spectrum
+    - ``slope_lowness``: correlation of height and squared slope on the map: negative, where steep facets lie in valleys; 0 without a map
+    - ``height_skewness``: Ssk of the map, -2 to 2
+    - ``log_anisotropy``: ln of the ratio of the slopes along two axes; 0 without a lay
+    - ``log_mirror``: ln of Fresnel's reflectance at the normal
+    - ``diffuse``: luminous reflectance; 0 without a spectrum
+    """
+    facets, index = inputs.facets, inputs.index
+    if facets is None:
+        raise ValueError("features need facets")
+    density = RadialDensity.of(azimuthal_average(facets) if facets["slope_density"].ndim == 2 else facets)
+    slope = density.median_slope
+    n, k = (float(value[0]) for value in interpolate_index(index, np.array([ONE_WAVELENGTH])))
+    result = dict.fromkeys(FEATURES, 0.0)
+    result["log_slope"] = math.log(slope)
+    result["tail"] = min(math.log(max(float(facets["slope_rms"]), 1e-9) / slope), 3.0)
+    if inputs.psd is not None:
+        height = max(float(inputs.psd["sigma_heights"]), 1e-4) / (1e-3 * ONE_WAVELENGTH)
+        result["log_height"] = math.log(min(height, _LARGEST_HEIGHT))
+    if inputs.surface is not None:
+        heights = inputs.surface["height"].values
+        result["slope_lowness"] = slope_lowness(heights)
+        centred = heights - np.nanmean(heights)
+        deviation = math.sqrt(np.nanmean(centred**2))
+        result["height_skewness"] = float(np.clip(np.nanmean(centred**3) / max(deviation, 1e-12) ** 3, -2, 2))
+    if facets["slope_density"].ndim == 2:
+        result["log_anisotropy"] = math.log(float(facets["anisotropy"]))
+    result["log_mirror"] = math.log(float(fresnel(1.0, n, k)[2]))
+    if inputs.spectrum is not None:
+        weight = colorimetry.luminous_weight(inputs.spectrum["wavelength"].values)
+        result["diffuse"] = float(weight @ inputs.spectrum["total_reflectance"].values / weight.sum())
+    return result
+
+
+def slope_lowness(heights: Array) -> float:
+    """Correlation of the height of a place with its squared slope: negative, where steep places lie low; 0 of a plane."""
+    if heights.ndim == 1:
+        middle, squared = heights[1:-1], (heights[2:] - heights[:-2]) ** 2
+    else:
+        middle = heights[1:-1, 1:-1]
+        squared = (heights[2:, 1:-1] - heights[:-2, 1:-1]) ** 2 + (heights[1:-1, 2:] - heights[1:-1, :-2]) ** 2
+    known = np.isfinite(middle) & np.isfinite(squared)
+    a, b = middle[known], squared[known]
+    if a.size < 9 or a.std() == 0 or b.std() == 0:
+        return 0.0
+    return float(np.corrcoef(a, b)[0, 1])
+
+
+def distance(one: Mapping[str, float], other: Mapping[str, float]) -> float:
+    """How much two materials differ: root of the sum of squares of their features' differences in the units of :data:`FEATURES`."""
+    return math.sqrt(sum(((one[name] - other[name]) / unit) ** 2 for name, unit in FEATURES.items()))

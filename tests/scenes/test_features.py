@@ -1,0 +1,50 @@
+"""Features by which materials resemble each other."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import relief_maps
+import samples
+
+from brdfpipe.facets.analytic_distributions import analytic
+from brdfpipe.facets.estimation import estimate
+from brdfpipe.optics.index import refractive_index
+from brdfpipe.scenes.features import FEATURES, distance, features, slope_lowness
+from brdfpipe.scenes.model_inputs import ModelInputs
+
+
+def test_valleys_and_the_map_upside_down_are_told_apart():
+    height = relief_maps.cells(128, 0)
+    assert slope_lowness(height) < -0.05
+    assert slope_lowness(-height) == pytest.approx(-slope_lowness(height))
+
+
+def test_normally_distributed_heights_have_slopes_that_do_not_depend_on_height():
+    found = [slope_lowness(relief_maps.gaussian(0.2, 192, seed, length=6.0)) for seed in range(8)]
+    assert abs(np.mean(found)) < 3 * np.std(found, ddof=1) / np.sqrt(8)
+    assert np.std(found) < 0.1
+
+
+@pytest.mark.parametrize("height", [np.zeros((8, 8)), np.zeros(8), np.full((5, 5), np.nan), np.arange(3.0)])
+def test_a_map_without_slopes_has_no_lowness(height):
+    assert slope_lowness(height) == 0
+
+
+def test_a_feature_is_a_property_of_the_material_not_of_its_units():
+    inputs = ModelInputs(refractive_index(1.5), samples.spectrum(0.3), analytic("beckmann", a=0.2))
+    found = features(inputs)
+    assert set(found) == set(FEATURES)
+    assert found["log_slope"] == pytest.approx(np.log(0.2 * np.sqrt(np.log(2))), abs=2e-3)
+    assert found["log_mirror"] == pytest.approx(np.log(0.04), abs=1e-9)
+    assert found["diffuse"] == pytest.approx(0.3, abs=1e-9)
+    assert found["log_height"] == found["slope_lowness"] == found["log_anisotropy"] == 0
+
+
+def test_like_materials_are_near_and_a_metal_is_far_from_a_plastic():
+    plastic = ModelInputs(refractive_index(1.5), samples.spectrum(0.3), estimate(samples.gaussian_surface(128)))
+    other = replace(plastic, index=refractive_index(1.52))
+    metal = replace(plastic, index=refractive_index({"n": 0.2, "k": 4}), spectrum=None)
+    assert distance(features(plastic), features(plastic)) == 0
+    assert distance(features(plastic), features(other)) < 0.2
+    assert distance(features(plastic), features(metal)) > 3
