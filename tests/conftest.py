@@ -42,6 +42,8 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    # Whole builds first: begun last, they would run alone at the end. The others keep their order.
+    items.sort(key=lambda item: item.path.parent != PROJECT / "tests")
     if config.getoption("--slow"):
         return
     functions: dict[tuple[Path, str], list[pytest.Item]] = {}

@@ -341,7 +341,7 @@ def _model_error(datasets: Datasets) -> Judgement | None:
         return Judgement(condition, "no reference solution holds", "warn", "Compare with a measurement")
     known = peak["theta_i"].values[~np.isnan(error).all(axis=(0, 1))]
     excess, of_light = _largest_error(peak["light_error"].where(peak["valid"] > 0), peak["light_error_u"], ERROR_LIMITS)
-    finding = f"in the peak {of_light('.1%')}, of {known.min():g} to {known.max():g}°"
+    finding = f"in the peak {of_light('.1%')}, judged from {known.min():g} to {known.max():g}°"
     units = result["gloss_error"].where(result["gloss_valid"] > 0)
     if units.notnull().any():
         of_gloss, words = _largest_error(units, result["gloss_error_u"], GLOSS_LIMITS)
