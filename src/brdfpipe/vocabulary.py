@@ -255,6 +255,7 @@ QUANTITIES: Mapping[str, Quantity] = {
     "log_phase_spectrum": Quantity(
         "1", "natural logarithm of the spectrum of the reflected field [um2] over (rad/um)²"
     ),
+    "measured_area": Quantity("um2", "area of the measured heights of a map", 0),
     "coherent_share": Quantity("1", "share of the mirror reflection that is coherent", 0, 1 + 1e-9),
     "mixture": Quantity("1", "share of a wavelength in a mean over wavelengths", 0),
     "mixed_wavelength": Quantity("nm", "wavelength of a mean over wavelengths", 100, 20000),

@@ -6,8 +6,10 @@ import numpy as np
 import xarray as xr
 
 from brdfpipe.appearance.colours import quality
+from brdfpipe.appearance.diffracted_gloss import diffracted_gloss_u
 from brdfpipe.bsdf.nonspectral import nonspectral
 from brdfpipe.bsdf.registry import representation
+from brdfpipe.bsdf.representations.kirchhoff import Kirchhoff
 from brdfpipe.flakes.geometries import Directions
 from brdfpipe.vocabulary import QUALITY_FLAGS
 
@@ -24,11 +26,15 @@ def gloss_quality(bsdf: xr.Dataset, angles: xr.DataArray) -> xr.DataArray | None
 def gloss_uncertainty_from_bsdf(bsdf: xr.Dataset, gloss: xr.DataArray) -> xr.DataArray | None:
     """Standard uncertainty of gloss [gloss units] from that of the BSDF; None where the BSDF has none.
 
-    The relative uncertainty in the mirror direction is applied to the whole receptor: errors of neighbouring directions are correlated.
+    Of diffraction on a map it is that of the light in the receptor (:func:`.diffracted_gloss.diffracted_gloss_u`). Otherwise the relative uncertainty
+    in the mirror direction is applied to the whole receptor: errors of neighbouring directions are correlated.
     """
     if not representation(bsdf).states_uncertainty:
         return None
     reduced, theta = nonspectral(bsdf), gloss["gloss_angle"].values
+    if isinstance(representation(reduced), Kirchhoff):
+        pairs = zip(theta, gloss.values, strict=True)
+        return gloss.copy(data=[diffracted_gloss_u(reduced, float(angle), float(value)) for angle, value in pairs])
     mirror = (theta, np.zeros_like(theta), theta, np.full_like(theta, 180.0), None)
     value = representation(reduced).evaluate(*mirror)[..., 0]
     u = representation(reduced).uncertainty(*mirror)[..., 0]

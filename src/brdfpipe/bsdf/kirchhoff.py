@@ -51,7 +51,7 @@ def build(
     Returns
     -------
     Dataset of kind ``bsdf``, representation ``kirchhoff``, the mean over the azimuth of incidence. Coherent light is not part of the
-    BSDF but of its specular reflectance. Its uncertainty is the scatter between blocks of the map. The attribute
+    BSDF but of its specular reflectance. Its uncertainty is the scatter between blocks of the map, and by speckle. The attribute
     ``diffracted_light_scaling`` is the factor, furthest from 1, by which diffracted light was scaled to all that is not coherent
 
     Raises
@@ -84,6 +84,9 @@ def build(
             "coherent_share": (nodes[:1], found.coherent),
             "coherent_share_change": (("block", nodes[0]), found.coherent_changes),
             "frequency_scale": found.frequency_scale,
+            "measured_area": float(surface["height"].notnull().sum())
+            * surface.attrs["pitch_x"]
+            * surface.attrs["pitch_y"],
             "n": ("wavelength", n),
             "k": ("wavelength", k),
         },

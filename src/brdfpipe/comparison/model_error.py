@@ -11,6 +11,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from brdfpipe import vocabulary
+from brdfpipe.appearance.diffracted_gloss import diffracted_gloss_u
 from brdfpipe.appearance.gloss_meter import gloss
 from brdfpipe.appearance.validity import ERROR_LIMITS, GLOSS_LIMITS, LARGEST_JUDGED, REFERENCES, certain_error
 from brdfpipe.bsdf import kirchhoff, traced
@@ -20,7 +21,6 @@ from brdfpipe.bsdf.nonspectral import nonspectral, normalised_response
 from brdfpipe.bsdf.reference_solution import GEOMETRIC, WAVELENGTH, facet_smoothness, holds, phase_variance
 from brdfpipe.bsdf.registry import representation
 from brdfpipe.bsdf.representations.kirchhoff import Kirchhoff
-from brdfpipe.comparison.diffracted_gloss import diffracted_gloss
 from brdfpipe.comparison.lobe_bins import LobeBins, gloss_by_bin
 from brdfpipe.errors import VocabularyError
 from brdfpipe.geometry import Array
@@ -109,8 +109,7 @@ def model_error(
     diffraction = None
     if (held[1] & ~held[0]).any():
         try:
-            middle = _middle(surface)
-            diffraction = _diffraction(middle, index), _measured_area(middle)
+            diffraction = _diffraction(_middle(surface), index)
         except HeightMapError as error:
             refusals["kirchhoff"] = str(error)
     held[1] &= diffraction is not None
@@ -126,7 +125,7 @@ def model_error(
         if name == "traced" and held[0, row]:
             return _traced_light(meshes, model, index, prediction, rays_each, seed)
         if name == "kirchhoff" and held[1, row] and diffraction is not None:
-            return _diffracted_light(*diffraction, prediction)
+            return _diffracted_light(diffraction, prediction)
         return _UNKNOWN
 
     lights = [
@@ -138,7 +137,7 @@ def model_error(
     result.attrs["advice"] = _advice(result, predicted)
     texts = _warnings(result, predicted)
     if diffraction is not None and held[1].any():
-        texts += [f"diffraction on the map: {text}" for text in light_warnings(diffraction[0])]
+        texts += [f"diffraction on the map: {text}" for text in light_warnings(diffraction)]
     return vocabulary.label(vocabulary.add_warning(result, *texts), "model_error")
 
 
@@ -217,11 +216,6 @@ def _middle(surface: xr.Dataset) -> xr.Dataset:
             if size > MOST_HEIGHTS
         }
     )
-
-
-def _measured_area(surface: xr.Dataset) -> float:
-    """Area of the measured heights of a map [um2]."""
-    return float(surface["height"].notnull().sum()) * surface.attrs["pitch_x"] * surface.attrs["pitch_y"]
 
 
 # --- what is compared
@@ -340,7 +334,7 @@ def _traced_light(
     return _Light(light, relative_u, value, float(np.hypot(np.sqrt(units**2 @ variance), GLOSS_BIN_ERROR * value)))
 
 
-def _diffracted_light(reference: xr.Dataset, area: float, prediction: _Prediction) -> _Light:
+def _diffracted_light(reference: xr.Dataset, prediction: _Prediction) -> _Light:
     one, lobe = representation(reference), prediction.lobe
     if lobe.phi_i is not None or not isinstance(one, Kirchhoff):
         return _UNKNOWN
@@ -349,7 +343,8 @@ def _diffracted_light(reference: xr.Dataset, area: float, prediction: _Predictio
     relative_u = np.hypot(np.sqrt(np.square(changes).sum(axis=0)) / np.maximum(light, 1e-300), BIN_ERROR)
     if lobe.theta_i not in GLOSS_ANGLES:
         return _Light(light, relative_u)
-    return _Light(light, relative_u, *diffracted_gloss(reference, area, lobe.theta_i))
+    value = float(gloss(reference, [lobe.theta_i])[0])
+    return _Light(light, relative_u, value, diffracted_gloss_u(reference, lobe.theta_i, value))
 
 
 def _by_region(one: Kirchhoff, prediction: _Prediction) -> Array:

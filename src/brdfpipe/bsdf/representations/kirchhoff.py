@@ -38,6 +38,7 @@ class Kirchhoff(CoupledSurface):
             "coherent_share": [_NODES[:1]],
             "coherent_share_change": [("block", _NODES[0])],
             "frequency_scale": vocabulary.SCALAR,
+            "measured_area": vocabulary.SCALAR,
             "n": _SPECTRAL,
             "k": _SPECTRAL,
             **COUPLED_SURFACE,
@@ -75,7 +76,7 @@ class Kirchhoff(CoupledSurface):
     def uncertainty(
         self, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array, wavelength: Array | None
     ) -> Array:
-        """Of the finite map, from the scatter between its blocks; that of the coherent part is not included."""
+        """Of the finite map, from the scatter between its blocks, and by speckle; that of the coherent part is not included."""
         light = self._light(wavelength)
 
         def values(theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array) -> Array:
@@ -261,6 +262,26 @@ def _steady(one: Array, other: Array) -> Array:
 
 
 def _relative_u(bsdf: xr.Dataset) -> Array:
-    """Relative standard uncertainty of the spectrum (q, f); 0 without changes."""
-    changes = bsdf.get("log_phase_spectrum_change", xr.zeros_like(bsdf["log_phase_spectrum"]).expand_dims("block"))
-    return np.asarray(np.sqrt(np.square(np.expm1(changes.values)).sum(axis=0)))
+    """Relative standard uncertainty of the spectrum (q, f): the scatter between blocks of the map; 0 without changes.
+
+    Next to the mirror direction a block has no mode that is as slow, and blocks agree by chance: there it is at least that by speckle.
+    """
+    if "log_phase_spectrum_change" not in bsdf:
+        return np.zeros(bsdf["log_phase_spectrum"].shape)
+    changes = bsdf["log_phase_spectrum_change"].values
+    between_blocks, modes = np.sqrt(np.square(np.expm1(changes)).sum(axis=0)), _modes(bsdf)
+    # The powers of modes scatter by all of their mean, f and −f together. A ring is the mean of a triangle of them that reaches its neighbours:
+    # ∫w²/(∫w)² is two thirds of one over its area.
+    by_speckle = np.sqrt(2 * 2 / 3 / modes)
+    return np.where(modes < len(changes), np.maximum(between_blocks, by_speckle), between_blocks)
+
+
+def _modes(bsdf: xr.Dataset) -> Array:
+    """Number of modes of the map in every ring (q, f), one for an area of 1/A in frequency; at least one."""
+    frequency, spectrum = bsdf[_NODES[1]].values, bsdf["log_phase_spectrum"].values
+    area = 2 * np.pi * frequency * np.gradient(frequency)
+    area[0] = np.pi * frequency[1] ** 2 / 3
+    # The innermost rings that have one value are one.
+    one = np.cumprod(spectrum == spectrum[:, :1], axis=1)
+    rings = np.where(one, (one * area).sum(axis=1, keepdims=True), area)
+    return np.maximum(float(bsdf["measured_area"]) * rings, 1.0)

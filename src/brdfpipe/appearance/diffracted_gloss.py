@@ -1,4 +1,4 @@
-"""Gloss of the light that a height map diffracts, and its uncertainty because the map is finite.
+"""Uncertainty of the gloss of the light that a height map diffracts, because the map is finite.
 
 A map of an area A diffracts light in modes of 1/A in frequency, whose powers scatter as those of random fields: by all of their mean, and f and −f
 together, because heights are real; where the phase varies much they are independent, and u is up to √2 too large. Light that one mode has too much,
@@ -17,8 +17,7 @@ import numpy as np
 import xarray as xr
 
 from brdfpipe.appearance.apertures import REFERENCE_INDEX, SOURCE, Rule, half_width, sample_of
-from brdfpipe.appearance.gloss_meter import RECEPTOR, gloss, gloss_at
-from brdfpipe.bsdf.reference_solution import WAVELENGTH
+from brdfpipe.appearance.gloss_meter import RECEPTOR, gloss_at
 from brdfpipe.bsdf.representations.kirchhoff import Diffraction, Kirchhoff
 from brdfpipe.geometry import Array
 from brdfpipe.optics.fresnel_equations import fresnel
@@ -31,14 +30,14 @@ _TURNS = (np.arange(32) + 0.5) * np.pi / 64
 """Azimuths of a quarter turn, whose mean is that of all."""
 
 
-def diffracted_gloss(reference: xr.Dataset, area: float, angle: float) -> tuple[float, float]:
-    """Gloss of diffraction on a map and its standard uncertainty as the gloss of the surface, both in gloss units.
+def diffracted_gloss_u(reference: xr.Dataset, angle: float, value: float) -> float:
+    """Standard uncertainty of the gloss of diffraction on a map, as the gloss of the surface [gloss units].
 
     Parameters
     ----------
-    reference : kind ``bsdf``, representation ``kirchhoff``, of one wavelength :data:`brdfpipe.bsdf.reference_solution.WAVELENGTH`, without wavelength
-    area : of the heights that were measured [um2]
+    reference : kind ``bsdf``, representation ``kirchhoff``, a mean over wavelength
     angle : of a gloss meter [degree]
+    value : gloss of the reference there
 
     Notes
     -----
@@ -46,35 +45,37 @@ def diffracted_gloss(reference: xr.Dataset, area: float, angle: float) -> tuple[
     scatter more than random heights do.
     """
     one = Kirchhoff(reference)
-    value, sample = float(gloss(reference, [angle])[0]), sample_of(reference, None)
+    sample = sample_of(reference, None)
     units = [gloss_at(sample, angle, np.zeros(1), _APERTURES, reflector)[0] for reflector in (one, *one.changed)]
     between_blocks = np.sqrt(np.square(np.array(units[1:]) - units[0]).sum())
     coherent = float(one.specular(np.array([angle]), np.zeros(1), None)[0].mean())
     glass = float(fresnel(np.cos(np.radians(angle)), REFERENCE_INDEX).mean)
-    scatter = max(gloss_scatter(reference, area, angle), between_blocks)
-    return value, float(np.hypot(scatter, RING_ERROR * (value - 100 * coherent / glass)))
+    scatter = max(gloss_scatter(reference, angle), between_blocks)
+    return float(np.hypot(scatter, RING_ERROR * (value - 100 * coherent / glass)))
 
 
-def gloss_scatter(reference: xr.Dataset, area: float, angle: float) -> float:
+def gloss_scatter(reference: xr.Dataset, angle: float) -> float:
     """Standard deviation of gloss [gloss units] between maps of one surface of random heights, by speckle.
 
     Parameters
     ----------
-    reference, area, angle : as for :func:`diffracted_gloss`
+    reference, angle : as for :func:`diffracted_gloss_u`
 
     Notes
     -----
     Heights without a lay: with one, the light is in fewer modes, and scatters more. Over visible light the modes of a receptor are nearly the
-    same ones, so that a mean over wavelength scatters as one wavelength does.
+    same ones, so that a mean over wavelength scatters as its mean wavelength does.
     """
+    wavelength, n, k = (
+        float(reference[name].values @ reference["mixture"].values) for name in ("mixed_wavelength", "n", "k")
+    )
     diffraction, cosine = Diffraction.of(reference), float(np.cos(np.radians(angle)))
-    frequency, spectrum = diffraction.at_phase(4e3 * np.pi * cosine / WAVELENGTH)
+    frequency, spectrum = diffraction.at_phase(4e3 * np.pi * cosine / wavelength)
     light = spectrum * 2 * np.pi * frequency * np.gradient(frequency)
-    coherent = float(diffraction.coherent_share(np.array([[cosine]]), np.array([WAVELENGTH]))[0, 0])
-    received = _received(frequency * WAVELENGTH * 1e-3, angle)
+    coherent = float(diffraction.coherent_share(np.array([[cosine]]), np.array([wavelength]))[0, 0])
+    received = _received(frequency * wavelength * 1e-3, angle)
     share = (coherent + light @ received.mean(axis=1)) / (coherent + light.sum())
-    variance = 2 / area * (light * spectrum) @ np.square(received - share).mean(axis=1)
-    n, k = (float(reference[name].values.flat[0]) for name in ("n", "k"))
+    variance = 2 / float(reference["measured_area"]) * (light * spectrum) @ np.square(received - share).mean(axis=1)
     mirror = fresnel(cosine, n, k).mean / fresnel(cosine, REFERENCE_INDEX).mean
     return 100 * float(mirror * np.sqrt(variance))
 
