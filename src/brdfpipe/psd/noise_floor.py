@@ -19,6 +19,8 @@ from brdfpipe.psd.periodograms import Rings, Scan, full_pitch, rings
 
 _PATCH = {1: 512, 2: 128}
 _MOST_PATCHES, _FEW_PATCHES = 64, 9
+_PATCHES_ALONG_LINE = 5
+"""Patches of a short line, besides those that overlap them: enough to show whether they scatter as white noise."""
 _WHITENESS = 0.03
 """Relative scatter of the floor of an instrument that still counts as white."""
 _SURFACE_SHARE = 0.5
@@ -26,8 +28,12 @@ _SURFACE_SHARE = 0.5
 _LARGEST_FALL = 1.2 * (1 + _SURFACE_SHARE)
 """Largest ratio of the spectrum there to that at its highest frequency."""
 _SIGNIFICANT = 3.0
+_CERTAIN = 2.0
+"""Standard uncertainties, or square root of an excess of χ², beyond which a spectrum has a plateau, or has none."""
 _STEADY = 0.1
-"""Largest relative uncertainty of the rings from the scatter of the patches."""
+"""Relative uncertainty of the rings from the scatter of the patches that is always accepted."""
+_EXCESS_SCATTER = 1.5
+"""Largest uncertainty of the rings over that of white noise in as many modes, if it is more: a short line has few."""
 _LARGEST_NOISE = 0.5
 """Largest noise over the rms of the heights."""
 _LARGEST_EXCESS = 1.1
@@ -41,6 +47,7 @@ _UNCERTAIN = 0.3
 _FEWEST_RINGS = 6
 _POWERS = 1.0, 20.0
 """Powers of the frequency with which a surface may decay towards its plateau."""
+_WEIGHINGS = 3
 _TRIALS, _NARROWINGS = 64, 4
 """Powers that are tried at a time, and times their range is narrowed to the neighbours of the best."""
 
@@ -118,8 +125,8 @@ def beyond_rounding(floor: NoiseFloor, step: float) -> float:
 def plateau(scan: Scan) -> NoiseFloor:
     """White noise of a scan, from the plateau of its spectrum; :data:`UNKNOWN` where none is seen.
 
-    The surface over the noise must be below 1/2 at 0.7 of the Nyquist frequency, and the fit good to 3 %. A plateau that holds most of
-    the heights may be the surface itself.
+    The surface over the noise must be below 1/2 at 0.7 of the Nyquist frequency, by two standard uncertainties, and the fit good to 3 %, or to the
+    scatter of the modes of a short line. Of a line the plateau is that of its own spectrum. One that holds most of the heights may be the surface itself.
     """
     sample = scan.height[tuple(slice(None, None, max(1, n // _SAMPLED)) for n in scan.height.shape)].astype(float)
     sample = sample[np.isfinite(sample)]
@@ -130,16 +137,19 @@ def plateau(scan: Scan) -> NoiseFloor:
     # A few patches tell a spectrum that falls to the end.
     for most, steepest in ((_FEW_PATCHES, 2 * _LARGEST_FALL), (_MOST_PATCHES, _LARGEST_FALL)):
         try:
-            fine, _ = full_pitch(scan, _PATCH[scan.height.ndim], most)
+            fine, _ = full_pitch(scan, _patch(scan), most)
             # In the corners of the frequency plane the surface has fallen even further.
             ends = (axis[axis.size // 2 if k < len(fine.axes) - 1 else -1] for k, axis in enumerate(fine.axes))
-            spectrum = rings([fine], float(np.sqrt(sum(end**2 for end in ends))))
+            high = float(np.sqrt(sum(end**2 for end in ends)))
+            spectrum = rings([fine], high)
         except PsdError:
             return UNKNOWN
-        shoulder = spectrum.between(scan.nyquist / np.sqrt(2), scan.nyquist).density
-        if shoulder.size == 0 or shoulder[0] > steepest * spectrum.density[-1]:
+        shoulder = spectrum.between(scan.nyquist / np.sqrt(2), scan.nyquist)
+        if shoulder.frequency.size == 0 or _falls(shoulder, spectrum, steepest):
             return UNKNOWN
-    floor = _fit(spectrum, scan.nyquist)
+    # The scatter of constant patches is that of their number of modes alone.
+    of_modes = rings([fine._replace(spectra=np.ones_like(fine.spectra))], high)
+    floor = _fit(spectrum, of_modes, scan.nyquist)
     if floor is None:
         return UNKNOWN
     level, uncertainty = floor
@@ -147,6 +157,18 @@ def plateau(scan: Scan) -> NoiseFloor:
     if sigma > _LARGEST_NOISE * rms:
         return UNKNOWN
     return NoiseFloor(sigma, sigma * uncertainty / (2 * level), PLATEAU)
+
+
+def _falls(shoulder: Rings, spectrum: Rings, most: float) -> bool:
+    """Whether the spectrum falls from its shoulder to its end by more than a factor, beyond its scatter."""
+    scatter = np.hypot(shoulder.uncertainty[0], most * spectrum.uncertainty[-1])
+    return bool(shoulder.density[0] - most * spectrum.density[-1] > _CERTAIN * scatter)
+
+
+def _patch(scan: Scan) -> int:
+    """Heights along a side of a patch that shows a plateau."""
+    size = _PATCH[scan.height.ndim]
+    return min(size, scan.height.size // _PATCHES_ALONG_LINE) if scan.height.ndim == 1 else size
 
 
 def from_repeats(scan: Scan, others: Sequence[Scan]) -> NoiseFloor:
@@ -229,34 +251,56 @@ def _rms_between_neighbours(scan: Scan) -> float:
     return min(found)
 
 
-def _fit(spectrum: Rings, nyquist: float) -> tuple[float, float] | None:
-    """Level of the plateau and its standard uncertainty; None if there is no plateau."""
+def _fit(spectrum: Rings, of_modes: Rings, nyquist: float) -> tuple[float, float] | None:
+    """Level of the plateau and its standard uncertainty; None if there is no plateau.
+
+    ``of_modes`` is a spectrum of 1 with the uncertainty of as many modes.
+    """
     # From higher and higher frequencies: a surface need not follow one power over several octaves.
     for start in nyquist * 2.0 ** np.arange(-3, -0.4, 0.5):
         part = spectrum.between(start, np.inf)
         # Spikes or a lay make the patches or directions differ: that is not white noise.
-        if part.frequency.size < _FEWEST_RINGS or np.median(part.uncertainty / part.density) > _STEADY:
+        steady = max(_STEADY, _EXCESS_SCATTER * float(np.median(of_modes.between(start, np.inf).uncertainty)))
+        if part.frequency.size < _FEWEST_RINGS or np.median(part.uncertainty / part.density) > steady:
             return None
-        noise, noise_u, surface, misfit = _constant_and_power(part, nyquist)
+        noise, noise_u, above_surface, misfit = _constant_and_power(part, nyquist)
         if misfit <= _MISFIT:
-            return (noise, noise * noise_u) if surface < _SURFACE_SHARE * noise and noise_u < _UNCERTAIN else None
+            return (noise, noise * noise_u) if above_surface and noise_u < _UNCERTAIN else None
     return None
 
 
-def _constant_and_power(part: Rings, nyquist: float) -> tuple[float, float, float, float]:
-    """Constant of a fitted sum of a constant and a power, its relative uncertainty, the power at 0.7 of the Nyquist frequency, and χ² per ring."""
+def _constant_and_power(part: Rings, nyquist: float) -> tuple[float, float, bool, float]:
+    """Constant of a fitted sum of a constant and a power, its relative uncertainty, whether it is surely above the surface, and χ² per ring.
+
+    Sure is what rings of their scatter tell from a power of half the constant at 0.7 of the Nyquist frequency: a short line has few modes.
+    """
     x, scale = np.log(part.frequency / nyquist), float(part.density[-1])
-    weight = scale / np.hypot(part.uncertainty, _WHITENESS * part.density)
-    powers = np.geomspace(*_POWERS, _TRIALS)
-    for _ in range(_NARROWINGS):
-        noise, surface, power, misfit = _best_of(powers, x, part.density / scale, weight)
-        step = (powers[-1] / powers[0]) ** (1 / (_TRIALS - 1))
-        powers = np.clip(np.geomspace(power / step, power * step, _TRIALS), *_POWERS)
-    above = surface * np.exp(-power * x)
+    density, relative_u = part.density / scale, np.hypot(part.uncertainty / part.density, _WHITENESS)
+    fitted = density
+    # Rings that are low by chance would weigh more than others: the fit tells what they scatter about.
+    for _ in range(_WEIGHINGS):
+        weight, powers = 1 / (relative_u * fitted), np.geomspace(*_POWERS, _TRIALS)
+        for _ in range(_NARROWINGS):
+            noise, surface, power, misfit = _best_of(powers, x, density, weight)
+            step = (powers[-1] / powers[0]) ** (1 / (_TRIALS - 1))
+            powers = np.clip(np.geomspace(power / step, power * step, _TRIALS), *_POWERS)
+        above = surface * np.exp(-power * x)
+        fitted = noise + above
     jacobian = np.stack([np.full_like(x, noise), above, -x * above], axis=1) * weight[:, None]
     relative = float(np.hypot(np.sqrt(np.linalg.pinv(jacobian.T @ jacobian)[0, 0]), _WHITENESS))
-    shoulder = scale * surface * float(np.exp(power * np.log(2) / 2))
-    return scale * noise, relative, shoulder, misfit / (part.frequency.size - 3)
+    shoulder = surface * float(np.exp(power * np.log(2) / 2))
+    excess = _misfit_of_share(_SURFACE_SHARE, x, density, weight) - misfit
+    above_surface = shoulder < _SURFACE_SHARE * noise and excess > _CERTAIN**2
+    return scale * noise, relative, above_surface, misfit / (part.frequency.size - 3)
+
+
+def _misfit_of_share(share: float, x: Array, density: Array, weight: Array) -> float:
+    """χ² of the best sum of a constant and a power that is a ``share`` of it at 0.7 of the Nyquist frequency."""
+    powers = np.geomspace(*_POWERS, _TRIALS)
+    shape = 1 + share * np.exp(-powers[:, None] * (x + np.log(2) / 2))
+    square = weight**2
+    level = shape @ (square * density) / (shape**2 @ square)
+    return float(np.square((level[:, None] * shape - density) * weight).sum(axis=1).min())
 
 
 def _best_of(powers: Array, x: Array, density: Array, weight: Array) -> tuple[float, float, float, float]:
