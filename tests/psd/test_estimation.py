@@ -124,6 +124,35 @@ def test_a_line_across_a_gaussian_surface_has_the_rms_height_of_its_heights(seed
     assert found["fit_slope"].isnull()
 
 
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("step", [0.0, 1e-6, 1e-3])
+def test_a_line_across_any_gaussian_surface_has_a_spectrum(step: float) -> None:
+    """Smooth surfaces fall to the rounding of their heights, or to the leakage of the window, where nothing of the surface is left to invert."""
+    rng = np.random.default_rng(round(1e6 * step))
+    for seed in range(25):
+        sigma, length, points = 10 ** rng.uniform(-2, 1), 10 ** rng.uniform(-0.5, 2), int(rng.choice([200, 1000, 4000]))
+        pitch = length * 10 ** rng.uniform(-2.0, -0.3)
+        line = heights(gaussian_line(sigma, length), (points,), (pitch,), seed)
+        line = np.round(line / step) * step if step else line
+        found = vocabulary.validate(estimate(samples.surface(line - line.mean(), (pitch,))), "psd")
+        assert (found["psd"].values > 0).all()
+        # Rings of few modes scatter, but not by two decades above the peak of the true spectrum.
+        assert (found["psd"].values < 100 * np.pi * (length * sigma) ** 2).all()
+        if pitch * points > 100 * length:
+            # 100 lengths: the rms height itself scatters by 1/√(2 · 100/1.25) = 8 %.
+            assert float(found["sigma"]) == pytest.approx(sigma, rel=0.3)
+
+
+def test_roughness_below_a_smooth_waviness_is_inverted() -> None:
+    # The waviness is fitted; the fine roughness has 1e-6 of the variance, and a line spectrum far above the fitted Gaussian.
+    fine = KCorrelation(0.001, 1.0, 3.0)
+    line = heights(gaussian_line(1.0, 15.0), (60_000,), (0.5,), 1) + heights(fine.line, (60_000,), (0.5,), 2)
+    found = estimate(samples.surface(line, (0.5,)), noise=0.0).sel(frequency=slice(0.25, 0.7))
+    assert found.sizes["frequency"] > 5
+    z = (found["psd"] - fine.areal(found["frequency"].values)) / found["psd_uncertainty"]
+    assert rms_z(z) < 2
+
+
 def test_missing_heights_are_kept_out_of_the_patches() -> None:
     height = heights(EXPONENTIAL.areal, (512, 512), (0.5, 0.5), 6)
     whole = estimate(samples.surface(height, (0.5, 0.5)))

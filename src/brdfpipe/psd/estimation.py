@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from brdfpipe import vocabulary
 from brdfpipe.geometry import Array
 from brdfpipe.psd.coherent_height import coherent_height
-from brdfpipe.psd.k_correlation import FittedForm, Gaussian, PsdError, fit
+from brdfpipe.psd.k_correlation import LEAST_SHARE, FittedForm, Gaussian, PsdError, fit
 from brdfpipe.psd.line_inversion import invert, inverted_change, with_variance_of
 from brdfpipe.psd.long_waves import long_waves
 from brdfpipe.psd.noise_floor import NoiseFloor, noise_floor
@@ -27,6 +27,10 @@ _SIGNIFICANT = 3.0
 _FEWEST_RINGS = 6
 _LEAST_LEFT = 0.1
 """Least share of a ring that is left as its noise grows."""
+_CONTRADICTED = 10.0
+"""Line spectrum over that of the fitted form beyond which the form does not stand for it."""
+_USABLE = 0.5
+"""Largest relative uncertainty of an inverted ring where the form does not stand for it."""
 _POOR_FIT = 0.3
 """Rms of the logarithm of measured over fitted spectrum above which the form is not that of the surface."""
 
@@ -136,6 +140,9 @@ def _areal(line: Rings, noise_change: Array) -> tuple[Rings, FittedForm, NDArray
     )
     # By the form: rings that are high by chance would seem more certain than those that are low.
     use = (inverted.density > 0) & (inverted.uncertainty < relative * model)
+    kept, use = _supported(line, fitted, inverted, use)
+    inverted = Rings(*(values[kept] for values in inverted))
+    model, relative, use, change = (values[kept] for values in (model, relative, use, change))
     quality = np.where(use, vocabulary.quality("measured"), vocabulary.quality("interpolated")).astype(np.int8)
     density, uncertainty = np.where(use, inverted, np.stack([inverted.frequency, model, relative * model]))[1:]
     if noisy and not use.all():
@@ -145,6 +152,26 @@ def _areal(line: Rings, noise_change: Array) -> tuple[Rings, FittedForm, NDArray
         uncertainty = np.where(use, uncertainty, np.hypot(uncertainty, change))
     spectrum = with_variance_of(line, Rings(inverted.frequency, density, uncertainty))
     return spectrum, fitted, quality, change[None] * spectrum.density / density
+
+
+def _supported(
+    line: Rings, fitted: FittedForm, inverted: Rings, use: NDArray[np.bool_]
+) -> tuple[slice, NDArray[np.bool_]]:
+    """The rings up to which the line tells the plane spectrum, and which of them are inverted.
+
+    Rings that are too weak for the fit are extrapolated by the form. Where the line spectrum is far above it the form is no stand-in: such a ring
+    counts if its inversion is certain by itself, and the first that does not ends the band, as noise does. Rounding of the heights leaves a plateau
+    there, whose inversion is 0 within its scatter, while a Gaussian form falls below all numbers.
+    """
+    # By the logarithm: spectra span many decades.
+    of_line = np.exp(np.interp(np.log(inverted.frequency), np.log(line.frequency), np.log(line.density)))
+    part = of_line * inverted.frequency
+    beyond = (part < LEAST_SHARE * part.max()) & (np.arange(part.size) > int(np.argmax(part)))
+    contradicted = beyond & (of_line > _CONTRADICTED * fitted.model.line(inverted.frequency))
+    certain = (inverted.density > 0) & (inverted.uncertainty < _USABLE * inverted.density)
+    lost = contradicted & ~certain
+    lost[: _FEWEST_RINGS - 2] = False
+    return slice(int(np.argmax(np.append(lost, True)))), np.where(contradicted, certain, use)
 
 
 def _measured(spectrum: Rings) -> NDArray[np.int8]:

@@ -88,7 +88,9 @@ class FittedForm(NamedTuple):
 SLOPES = (2.02, 12.0)
 """Exponents that a fit may find; that of a Gaussian surface grows without limit."""
 
-_LEAST_SHARE = 1e-4
+LEAST_SHARE = 1e-4
+"""Part of a ring in σ², per octave, over the largest, below which it is left out of a fit."""
+_FEWEST = 4
 _LEAST_SCATTER = 0.05
 """Relative departure of a real surface from the form: no ring weighs more."""
 
@@ -99,7 +101,7 @@ def fit(frequency: Array, density: Array, uncertainty: Array, *, line: bool = Fa
     Parameters
     ----------
     frequency, density, uncertainty : of the rings [um-1; um4, of a line um3]; all above 0, at least four. Rings whose part in σ², per
-        octave, is below 1e-4 of the largest are left out
+        octave, is below 1e-4 of the largest are left out, but for the four largest
     line : whether the spectrum is that of a line
 
     Raises
@@ -108,12 +110,12 @@ def fit(frequency: Array, density: Array, uncertainty: Array, *, line: bool = Fa
     """
     from scipy.optimize import least_squares
 
-    if frequency.size < 4:
+    if frequency.size < _FEWEST:
         raise PsdError(
-            f"the roughness spectrum has only {frequency.size} frequencies above its noise; accepted: four or more. Measure a larger area"
+            f"the roughness spectrum has only {frequency.size} frequencies; accepted: four or more. Measure a larger area, or a longer line"
         )
     rings = density * frequency if line else density * frequency**2
-    used = rings >= _LEAST_SHARE * rings.max()
+    used = rings >= min(LEAST_SHARE * rings.max(), np.sort(rings)[-_FEWEST])
     all_frequencies = frequency
     frequency, density, uncertainty = frequency[used], density[used], uncertainty[used]
     spectrum: Callable[[KCorrelation, Array], Array] = KCorrelation.line if line else KCorrelation.areal
