@@ -142,7 +142,7 @@ def _areal(line: Rings, noise_change: Array) -> tuple[Rings, FittedForm, NDArray
     use = (inverted.density > 0) & (inverted.uncertainty < relative * model)
     kept, use = _supported(line, fitted, inverted, use)
     inverted = Rings(*(values[kept] for values in inverted))
-    model, relative, use, change = (values[kept] for values in (model, relative, use, change))
+    model, relative, use, change = model[kept], relative[kept], use[kept], change[kept]
     quality = np.where(use, vocabulary.quality("measured"), vocabulary.quality("interpolated")).astype(np.int8)
     density, uncertainty = np.where(use, inverted, np.stack([inverted.frequency, model, relative * model]))[1:]
     if noisy and not use.all():

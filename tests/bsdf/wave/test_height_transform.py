@@ -74,6 +74,19 @@ def test_a_measured_spectrum_is_continued_by_its_fitted_form():
     assert table["log_halo"].values[:, inside] == pytest.approx(expected["log_halo"].values[:, inside], abs=3e-3)
 
 
+def test_a_smooth_surface_ends_where_its_gaussian_form_is_below_all_numbers():
+    # exp(−(π · 20 · 0.5)²) is below 1e-428; the window of the measurement leaves 1e-12 of the peak there.
+    truth, frequency = gaussian(20.0), np.geomspace(0.0005, 0.5, 400)
+    floor = 1e-12 * truth.spectrum(np.zeros(1))
+    found, sigma = height_transform.measured(frequency, 1e-4 * (truth.spectrum(frequency) + floor), truth)
+    assert truth.spectrum(frequency[-1:]) == 0
+    assert sigma == pytest.approx(1e-2, rel=1e-3)
+    everywhere = np.geomspace(0.0005, 0.04, 100)
+    # Linear between logarithms of 400 values.
+    assert found.spectrum(everywhere) == pytest.approx(truth.spectrum(everywhere), rel=5e-3)
+    assert np.isfinite(height_transform.tabulated(found, 0.1, 4.0)["log_halo"]).all()
+
+
 def test_a_measured_spectrum_has_no_heights_below_its_band():
     # A steep spectrum that its fitted form would continue to heights of many micrometres.
     steep = k_correlation(400.0, 4.6)

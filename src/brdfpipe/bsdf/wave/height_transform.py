@@ -126,12 +126,19 @@ def measured(
     log_f, log_s = np.log(frequency), np.log(np.maximum(psd, psd.max() * 1e-30))
     waves = LongWaves(0.0, 0.0, float(frequency[0])) if long_waves is None else long_waves
     below = waves.spectrum()
+    end = float(tail.spectrum(frequency[-1:])[0]) if tail is not None else 1.0
+
+    def continuation(high: Array) -> Array:
+        """Spectrum beyond its last frequency over that at it, by the frequency over the last."""
+        if tail is None:
+            return np.asarray(high**-3)
+        # A Gaussian form that has fallen below all numbers continues with nothing.
+        return tail.spectrum(high * frequency[-1]) / end if end > 0 else np.where(high > 1, 0.0, 1.0)
 
     def spectrum(f: Array) -> Array:
         inside = np.exp(np.interp(np.log(f), log_f, log_s))
         low, high = np.minimum(f / waves.highest, 1.0), np.maximum(f / frequency[-1], 1.0)
-        beyond = high**-3 if tail is None else tail.spectrum(high * frequency[-1]) / tail.spectrum(frequency[-1:])
-        return np.asarray(inside * low**_LOW_CUT * beyond + below(f))
+        return np.asarray(inside * low**_LOW_CUT * continuation(high) + below(f))
 
     lowest = 1e-5 * waves.highest * min(waves.relative_frequency, 1.0)
     grid = np.geomspace(lowest, 1e6 * frequency[-1], 20001)
