@@ -203,7 +203,9 @@ def test_slopes_of_hardly_related_heights_fail():
     for ratio, verdict in ((1.86, "fail"), (1.41, "pass")):
         table = facets.analytic("beckmann", 0.1).assign(noise_ratio=ratio)
         known = datasets(facets=table, psd=psd.analytic("gaussian", sigma=5.0, length=5.0))
-        assert judged(known | {"bsdf": known["bsdf"].assign_attrs(optics="auto")})[PITCH].verdict == verdict
+        judgement = judged(known | {"bsdf": known["bsdf"].assign_attrs(optics="auto")})[PITCH]
+        assert judgement.verdict == verdict
+        assert ("`surface.noise`" in judgement.advice) == (verdict == "fail")
 
 
 @pytest.mark.parametrize(

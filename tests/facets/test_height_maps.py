@@ -197,7 +197,10 @@ def test_an_unknown_correlation_length_says_what_to_do(scan):
 
 def test_a_map_of_few_correlation_lengths_warns_of_an_understated_uncertainty():
     narrow, wide = (facets.estimate(samples.gaussian_surface(size, correlation=10)) for size in (128, 256))
-    assert any("correlation lengths wide" in warning for warning in vocabulary.warnings(narrow))
+    (warning,) = (text for text in vocabulary.warnings(narrow) if "correlation lengths wide" in text)
+    needed = 16 * float(narrow["correlation_length"])
+    assert "fewer than 16, and the uncertainty" in warning
+    assert f"at least {needed:.3g} µm wide" in warning
     assert not any("correlation lengths wide" in warning for warning in vocabulary.warnings(wide))
 
 

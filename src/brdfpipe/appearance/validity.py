@@ -20,6 +20,7 @@ from brdfpipe.bsdf.microfacet.phase_variance import (
     unresolved_rms_height,
 )
 from brdfpipe.bsdf.wave import missed_light
+from brdfpipe.facets.facet_dataset import NOISE_ADVICE
 from brdfpipe.flakes.refraction import largest_flake_angle
 from brdfpipe.geometry import Array
 from brdfpipe.masking.modes import LARGEST_COMPARED
@@ -187,7 +188,9 @@ def _pitch(datasets: Datasets) -> Judgement | None:
     condition = "Structure finer than the scan"
     if (ratio := float(datasets["facets"].get("noise_ratio", 0.0))) > ALIASED:
         finding += f"; slopes over one pixel are {ratio:.2f} times those over two, as of noise or of finer roughness"
-        return Judgement(condition, finding, "fail", "Scan with a finer pitch, or average several scans")
+        return Judgement(
+            condition, finding, "fail", f"If it is noise, {NOISE_ADVICE}; if finer roughness, scan with a finer pitch"
+        )
     if psd is None:
         return Judgement(condition, finding, "")
     unresolved = unresolved_rms_height(psd)
@@ -267,7 +270,9 @@ def _noise(datasets: Datasets) -> Judgement | None:
     finding = f"{_nanometres(noise)}, {noise / heights:.1%} of the rms height; subtracted"
     if noise <= NOISE_LIMIT * heights:
         return Judgement("Height noise", finding, "pass")
-    return Judgement("Height noise", finding, "warn", "Average several scans of the same place")
+    return Judgement(
+        "Height noise", finding, "warn", "Average scans of the same place, or smooth the heights (`surface.lambda_s`)"
+    )
 
 
 def _tail(datasets: Datasets) -> Judgement | None:

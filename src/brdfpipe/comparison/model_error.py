@@ -230,7 +230,8 @@ def _meshes(scans: Sequence[xr.Dataset], noise: float) -> tuple[list[HeightMesh]
     noise_share = meshes[0].noise_share(noise)
     if noise_share > NOISE_LIMIT:
         return meshes, (
-            f"{noise_share:.0%} of the mean square slope is noise, which the prediction leaves out and rays would meet; average several scans"
+            f"{noise_share:.0%} of the mean square slope is noise, which the prediction leaves out and rays would meet; average scans of the same "
+            "place, or smooth the heights (`surface.lambda_s`)"
         )
     return meshes, next(filter(None, map(traced.quantisation, meshes)), "")
 

@@ -69,14 +69,20 @@ def principal_ellipse(first: float, second: float, azimuth: float) -> Ellipse:
     return Ellipse(min(first, second), max(first, second), round((azimuth + turned + 90) % 180 - 90, 9))
 
 
+NOISE_ADVICE = (
+    "state it (`surface.noise`), smooth the heights (`surface.lambda_s`), or average scans of the same place: a finer pitch makes the slopes of white "
+    "noise larger"
+)
+
+
 def noise_warning(facets: xr.Dataset) -> list[str]:
     """A warning if the slope rms over one pixel is much larger than over two."""
     ratio = float(facets["noise_ratio"])
     if not ratio > 1.2:
         return []
     return [
-        f"the slope rms over one pixel is {ratio:.2f} times that over two: the scan is limited by noise or by its pitch; "
-        "measure with more averaging, or at a finer pitch"
+        f"the slope rms over one pixel is {ratio:.2f} times that over two: the scan is limited by noise or by its pitch. "
+        f"If it is noise, {NOISE_ADVICE}; if it is finer roughness, measure with a finer pitch"
     ]
 
 

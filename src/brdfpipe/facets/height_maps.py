@@ -326,10 +326,13 @@ def _remarks(
         )
     widths = (pitch * size for scan in heights for pitch, size in zip(scan.pitch, scan.height.shape[::-1], strict=True))
     lengths = min(widths) / float(facets["correlation_length"])
-    if lengths < 2 * BLOCKS:
+    needed = 2 * BLOCKS
+    if lengths < needed:
+        # Rounded down: 15.98 is not 16.
         warnings.append(
-            f"the scan is only {lengths:.0f} correlation lengths wide, and the uncertainty from its {BLOCKS} x {BLOCKS} blocks is understated, "
-            f"by 10 % at 10 lengths, 20 % at 8 and more below; measure a larger area (at least {2 * BLOCKS} correlation lengths)"
+            f"the scan is only {np.floor(10 * lengths) / 10:.1f} correlation lengths wide, fewer than {needed}, and the uncertainty from its {BLOCKS} x "
+            f"{BLOCKS} blocks is understated, by 10 % at 10 lengths, 20 % at 8 and more below; measure an area that is at least "
+            f"{needed * float(facets['correlation_length']):.3g} µm wide"
         )
     if np.isnan(lengths):
         warnings.append(

@@ -112,8 +112,8 @@ def _mesh(surface: xr.Dataset, facets: xr.Dataset) -> HeightMesh:
     noise_share = mesh.noise_share(float(facets.get("noise_sigma", 0.0)))
     if noise_share > NOISE_LIMIT:
         raise HeightMapError(
-            f"{noise_share:.0%} of the mean square slope is noise, which rays would meet; average several scans, or set "
-            "`model.multiple_scattering: directional`"
+            f"{noise_share:.0%} of the mean square slope is noise, which rays would meet; average scans of the same place, smooth the heights "
+            "(`surface.lambda_s`), or set `model.multiple_scattering: directional`"
         )
     return mesh
 
