@@ -74,6 +74,13 @@ def test_a_clamped_diffuse_part_warns_about_closure():
     assert float(bsdf.bsdf.check()["closure_residual"]) == pytest.approx(0.037, abs=0.005)
 
 
+@pytest.mark.parametrize(("miss", "verdict"), [(5e-6, "pass"), (5e-4, "warn"), (1.5e-2, "fail")])
+def test_closure_is_judged_by_the_light_that_is_missed(miss, verdict):
+    bsdf = samples.beckmann_bsdf(0.2)
+    bsdf["total_reflectance"] = bsdf["total_reflectance"] + miss
+    assert verdicts(bsdf)["closure"] == verdict
+
+
 def texts(bsdf):
     return {name: entry["text"] for name, entry in json.loads(bsdf.bsdf.check().attrs["verdicts"]).items()}
 

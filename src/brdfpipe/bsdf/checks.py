@@ -22,7 +22,10 @@ _NEAREST, _FURTHEST = 1e-3, 90.0
 """Range of the angles from the mirror direction, or from the normal, of the pairs about these [degree]."""
 
 RECIPROCITY_LIMIT = 1e-9
-CLOSURE_LIMIT = 1e-6
+CLOSURE_LIMIT = 1e-4  # of the incident light: the last digit of a spectrum in percent, with two decimals
+CLOSURE_FAIL_LIMIT = 1e-3  # of the incident light: 0.3 of L* of a black plastic
+NOT_CLOSED = ("crf", "none")
+"""Modes of the diffuse part that do not keep the total reflectance."""
 INTEGRAL_LIMIT = 1e-3  # of the incident light: the kinks of a counted density cost the plain quadrature 1e-4
 _INTEGRAL_ACCURACY = 1e-4  # estimated, of the plain quadrature; the real error is 100 times smaller
 GROWTH_LIMIT = 3.0  # 1/cos θ grows tenfold from 89.9 to 89.99°, and a sound BRDF hardly at all
@@ -361,8 +364,15 @@ def _verdicts(result: xr.Dataset, residuals: dict[str, _Residual], model: Repres
     closure = float(result["closure_residual"])
     if np.isfinite(closure):
         text = f"total reflectance at {float(bsdf['theta_m']):g}° equals the given one within {closure:.1e}"
-        if (bsdf.get("diffuse_quality", xr.DataArray(0)) == vocabulary.quality("clamped")).any():
+        stated = closure <= float(bsdf.get("interpolation_error", 0.0))
+        chosen = bsdf.attrs.get("diffuse_mode") in NOT_CLOSED
+        clamped = bool((bsdf.get("diffuse_quality", xr.DataArray(0)) == vocabulary.quality("clamped")).any())
+        if clamped:
             text += "; the diffuse part was set to 0 where the given reflectance is below the specular part"
-        closes = closure <= CLOSURE_LIMIT
-        verdicts["closure"] = ("pass", text) if closes else ("warn", text + known)
+        if closure <= CLOSURE_LIMIT:
+            verdicts["closure"] = "pass", text
+        elif closure <= CLOSURE_FAIL_LIMIT or clamped or stated or chosen:
+            verdicts["closure"] = "warn", text + known
+        else:
+            verdicts["closure"] = broken, f"{text}; accepted: {CLOSURE_LIMIT:g} of the incident light{known}"
     return verdicts
