@@ -131,6 +131,15 @@ def test_a_refined_grid_holds_a_lobe_that_the_grid_misses(sigma):
     assert float(refined.bsdf.evaluate(30, 0, 30, 180)) == pytest.approx(peak, rel=1e-9)
 
 
+def test_a_table_that_was_refined_in_vain_does_not_advise_to_refine():
+    ridges = samples.brushed_bsdf(0.005, 0.3)
+    grid = GRID | {"phi_i": [0.0, 180.0]}
+    assert "or `table.refine: true`" in vocabulary.warnings(tabulation.tabulate(ridges, grid))[0]
+    warned = vocabulary.warnings(tabulation.faithful_table(ridges, grid))[0]
+    assert "too coarse for the lobe" in warned
+    assert warned.endswith("use finer steps in the configuration's `table`; `table.refine: true` was not enough")
+
+
 def test_a_grid_that_holds_the_lobe_stays_as_it_is():
     wide = samples.beckmann_bsdf(0.4, reflectance=0.3).bsdf.nonspectral()
     grid = GRID | {"theta_i": np.arange(0, 61, 10.0)}

@@ -58,8 +58,10 @@ def tabulate(bsdf: xr.Dataset, grid: Mapping[str, ArrayLike]) -> xr.Dataset:
     return _with_uncertainty(_of_values(bsdf, grid), bsdf)
 
 
-def _of_values(bsdf: xr.Dataset, grid: Mapping[str, ArrayLike]) -> xr.Dataset:
-    """The table without its uncertainty."""
+def _of_values(
+    bsdf: xr.Dataset, grid: Mapping[str, ArrayLike], remedy: str = ", or `table.refine: true`"
+) -> xr.Dataset:
+    """The table without its uncertainty; ``remedy`` follows the advice to use finer steps if the grid is too coarse."""
     vocabulary.validate(bsdf, "bsdf")
     model, layout = representation(bsdf), layout_of(grid)
     known = layout.named(lay=True)
@@ -87,7 +89,7 @@ def _of_values(bsdf: xr.Dataset, grid: Mapping[str, ArrayLike]) -> xr.Dataset:
             table[name] = bsdf[name].drop_vars("theta_i", errors="ignore")
     table = _with_albedo(table, bsdf, axes, spectral)
     table = vocabulary.label(with_interpolation_error(table, bsdf, averaged), "bsdf")
-    table = _with_verdict(table)
+    table = _with_verdict(table, remedy)
     if averaged:
         table = vocabulary.add_warning(
             table,
@@ -236,7 +238,9 @@ def _interpolation_misfit(
 def faithful_table(bsdf: xr.Dataset, grid: Mapping[str, ArrayLike]) -> xr.Dataset:
     """A table on the grid, or on a refined grid (:func:`refined`) if the grid is too coarse for the lobe."""
     table = _of_values(bsdf, grid)
-    return _with_uncertainty(table, bsdf) if verdict_of(table) == "pass" else tabulate(bsdf, refined(bsdf, grid))
+    if verdict_of(table) != "pass":
+        table = _of_values(bsdf, refined(bsdf, grid), "; `table.refine: true` was not enough")
+    return _with_uncertainty(table, bsdf)
 
 
 def relative_loss(table: xr.Dataset) -> xr.DataArray:
@@ -374,7 +378,7 @@ def _trapezoid(brdf: Array, theta_o: Array, phi_o: Array) -> Array:
     return np.asarray(np.trapezoid(over_phi, theta, axis=1))
 
 
-def _with_verdict(table: xr.Dataset) -> xr.Dataset:
+def _with_verdict(table: xr.Dataset, remedy: str) -> xr.Dataset:
     """Add the verdict on the grid's own integral, which programs that read a table rely on."""
     lost = relative_loss(table)
     by_incidence = lost.max("wavelength") if "wavelength" in lost.dims else lost
@@ -386,6 +390,5 @@ def _with_verdict(table: xr.Dataset) -> xr.Dataset:
         return table
     return vocabulary.add_warning(
         table,
-        f"the grid of the table is too coarse for the lobe: {text}; use finer steps in the configuration's `table`, or "
-        "`table.refine: true`",
+        f"the grid of the table is too coarse for the lobe: {text}; use finer steps in the configuration's `table`{remedy}",
     )
