@@ -113,10 +113,12 @@ def test_a_surface_with_a_lay_keeps_smiths_masking_and_says_so():
     assert choice.attrs["masking"] == "height-correlated"
     assert "no visibility was traced: " in choice.attrs["reason"]
     assert "has a lay" in choice.attrs["reason"]
+    # Without its lay it would be another surface.
+    assert "isotropic: true" not in choice.attrs["reason"]
     with samples.coarse_albedo_tables():
         bsdf = build(facets, index=1.5, visibility=choice, multiple_scattering="none")
     assert bsdf.attrs["masking"] == "height-correlated"
-    with pytest.raises(VisibilityError, match=r"this one has a lay; set `surface\.isotropic: true`"):
+    with pytest.raises(VisibilityError, match=r"the surface has a lay; .*`model\.masking: auto`"):
         choose(ground, facets, masking="measured")
 
 

@@ -87,9 +87,10 @@ def _compared_and_traced(surface: xr.Dataset, facets: xr.Dataset, masking: str, 
     if facets["slope_density"].size == 0:
         raise VisibilityError("the surface is flat, and masks nothing")
     if facets["slope_density"].ndim != 1:
-        raise VisibilityError(
-            "masking 'measured' is for isotropic surfaces, and this one has a lay; set `surface.isotropic: true` or another `model.masking`"
-        )
+        text = "the surface has a lay; masking is traced for surfaces without one"
+        if masking == "measured":
+            raise VisibilityError(f"masking 'measured' is not possible: {text}. Set `model.masking: auto`")
+        raise VisibilityError(f"{text}, and with a lay is Smith's")
     line = surface["height"].ndim == 1
     mesh = HeightMesh.of_line(surface) if line else HeightMesh.of(surface)
     density = RadialDensity.of(facets)
