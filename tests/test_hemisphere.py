@@ -59,3 +59,25 @@ def test_the_rule_resolves_a_narrow_lobe_about_the_mirror_direction():
     away = 2 * np.arcsin(np.linalg.norm(unit_vector(rule.theta, rule.phi) - mirror, axis=1) / 2)
     # ∫ exp(−r²/w²) cos θ dω ≈ π w² cos 40° for a narrow lobe.
     assert rule.weight @ np.exp(-((away / 2e-3) ** 2)) == pytest.approx(np.pi * 4e-6 * np.cos(np.radians(40)), rel=1e-5)
+
+
+@pytest.mark.parametrize("theta", [0.0, 8.0, 60.0, 89.0, 90.0])
+@pytest.mark.parametrize("azimuth", [0.0, 20.0, 90.0])
+def test_the_rule_for_a_lay_measures_the_projected_hemisphere(theta, azimuth):
+    rule = hemisphere.around_mirror_with_lay(theta, azimuth, 1e-3, 0.1, lay=15.0)
+    assert rule.weight.sum() == pytest.approx(np.pi, rel=1e-6)
+    assert rule.weight @ np.cos(np.radians(rule.theta)) == pytest.approx(2 * np.pi / 3, rel=1e-6)
+
+
+@pytest.mark.parametrize("ratio", [1.0, 5.0, 30.0])
+@pytest.mark.parametrize("azimuth", [15.0, 60.0, 105.0])
+def test_the_rule_for_a_lay_resolves_a_long_and_narrow_lobe(ratio, azimuth):
+    lay, theta, along = 15.0, 40.0, 1e-3
+    rule = hemisphere.around_mirror_with_lay(theta, azimuth, along, along * ratio, lay)
+    away = np.radians(azimuth - lay)
+    sine = np.sin(np.radians(rule.theta))
+    x = sine * np.cos(np.radians(rule.phi - lay)) + np.sin(np.radians(theta)) * np.cos(away)
+    y = sine * np.sin(np.radians(rule.phi - lay)) + np.sin(np.radians(theta)) * np.sin(away)
+    # cos θ dω = dx dy: of a Gaussian lobe in the plane of the direction's horizontal part the integral is 2π times both widths.
+    lobe = np.exp(-((x / along) ** 2 + (y / (along * ratio)) ** 2) / 2)
+    assert rule.weight @ lobe == pytest.approx(2 * np.pi * along**2 * ratio, rel=1e-3)

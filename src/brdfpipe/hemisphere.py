@@ -10,6 +10,11 @@ from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
 
+_LEAST_COSINE = 1e-4
+"""Cosine of incidence below which a lobe is not resolved further."""
+_PANEL_GROWTH = 0.7
+"""Step between the panels of a lobe with a lay, in asinh of the angle over the lobe's width."""
+
 
 @cache
 def _gauss_legendre(order: int) -> tuple[Array, Array]:
@@ -113,3 +118,43 @@ def around_mirror(
     theta, phi = np.degrees(np.arctan2(np.hypot(x, y), z)), np.degrees(np.arctan2(y, x))
     above = (weight > 0) & (theta < 90)
     return Directions(theta[above], phi[above], weight[above])
+
+
+def around_mirror_with_lay(
+    theta_i: float, phi_i: float, along: float, across: float, lay: float, order: int = 5
+) -> Directions:
+    """A rule over the hemisphere for the lobe of a surface with a lay, also where that is long and narrow.
+
+    Parameters
+    ----------
+    theta_i, phi_i : of the incident light, degree
+    along, across : typical slopes along the lay and across it: the lobe the rule must resolve
+    lay : azimuth, degree
+    order : points in each panel
+
+    Notes
+    -----
+    Directions are sin γ along the lay and cos γ sin β across it, with the projected solid angle cos² γ cos β dγ dβ. Facets without
+    slope along the lay mirror light to one γ, and those without slope across it to one cos γ sin β: panels crowd towards both. The horizon
+    is at the limits of γ and β, so that the rule ends there exactly.
+    """
+    turn, sine, cosine = np.radians(phi_i + 180 - lay), np.sin(np.radians(theta_i)), np.cos(np.radians(theta_i))
+    mirror = float(np.arcsin(np.clip(sine * np.cos(turn), -1.0, 1.0)))
+    # A slope along the lay turns light by less where the light comes from across it.
+    narrow = 2 * along * min(max(cosine, _LEAST_COSINE) / max(np.cos(mirror), _LEAST_COSINE), 1.0)
+    gamma, gamma_weight = panel_rule(_growing_edges(np.array(mirror), narrow), order)
+    middle = np.arcsin(np.clip(sine * np.sin(turn) / np.cos(gamma), -1.0, 1.0))
+    beta, beta_weight = panel_rule(_growing_edges(middle, 2 * across), order)
+    g = gamma[:, None]
+    x, y, z = np.broadcast_arrays(np.sin(g), np.cos(g) * np.sin(beta), np.cos(g) * np.cos(beta))
+    weight = gamma_weight[:, None] * beta_weight * np.cos(g) * z
+    theta, phi = np.degrees(np.arctan2(np.hypot(x, y), z)), lay + np.degrees(np.arctan2(y, x))
+    above = (weight > 0) & (theta < 90)
+    return Directions(theta[above], phi[above], weight[above])
+
+
+def _growing_edges(centre: Array, scale: float) -> Array:
+    """Panel edges (..., panels + 1) on ±90° [rad] that grow exponentially away from a centre, from the scale of its peak."""
+    steps = int(np.ceil(np.arcsinh(np.pi / scale) / _PANEL_GROWTH))
+    offset = scale * np.sinh(_PANEL_GROWTH * np.arange(-steps, steps + 1))
+    return np.clip(centre[..., None] + offset, -np.pi / 2, np.pi / 2)

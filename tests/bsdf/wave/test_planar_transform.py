@@ -147,3 +147,37 @@ def test_facets_without_a_lay_average_the_halo():
     found = facets.estimate(surface, isotropic=True)
     bsdf = wave.build(psd.estimate(surface), facets=found, index=1.5, wavelength=550.0, optics="auto")
     assert representation(bsdf).isotropic
+
+
+@pytest.mark.parametrize(
+    ("anisotropy", "sigma"),
+    [
+        (24.0, 0.2),
+        *(
+            pytest.param(anisotropy, sigma, marks=pytest.mark.slow)
+            for anisotropy in (1.5, 4.0, 12.0, 30.0)
+            for sigma in (0.06, 0.2, 0.5)
+        ),
+    ],
+)
+def test_the_reflectance_of_a_strong_lay_is_that_of_its_brdf_and_the_given_one(anisotropy, sigma):
+    f = np.fft.fftfreq(256, 0.5)
+    length = 2.5 * np.sqrt(anisotropy)
+    turned = Stretch(LAY, np.sqrt(anisotropy))(f, f[:, None])[0]
+    spectrum = sigma**2 * height_transform.gaussian(length).spectrum(turned)
+    surface = samples.surface(relief_maps.of_spectrum(spectrum, 0.5, 1), (0.5, 0.5))
+    found = facets.estimate(surface, isotropic=False)
+    given = vocabulary.label(samples.spectrum(0.06).sel(wavelength=[550.0]), "spectrum")
+    with samples.coarse_albedo_tables():
+        bsdf = wave.build(psd.estimate(surface), facets=found, index=1.5, spectrum=given, optics="auto")
+    # Light from the normal has no azimuth.
+    around = bsdf.bsdf.albedo(theta_i=0.0, phi_i=np.arange(0.0, 360.0, 15.0), wavelength=550.0).values
+    assert np.ptp(around) < 1e-9
+    model, nm = representation(bsdf), np.array([550.0])
+    for theta, phi in ((0.0, 0.0), (8.0, LAY), (8.0, LAY + 90), (45.0, LAY + 30)):
+        at = np.array([theta]), np.array([phi])
+        expected = model.integrate(*at, nm, relative=1e-4).value + model.specular(*at, nm)[0]
+        assert model.albedo(*at, nm) == pytest.approx(expected, abs=1e-3)
+    eight = bsdf.bsdf.albedo(theta_i=8.0, phi_i=np.arange(0.0, 360.0, 45.0), wavelength=550.0).values
+    assert eight.mean() == pytest.approx(0.06, abs=1e-9)
+    assert around == pytest.approx(0.06, abs=1e-3)

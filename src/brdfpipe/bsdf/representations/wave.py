@@ -15,6 +15,7 @@ from brdfpipe.bsdf.microfacet.microsurface import NOT_PHYSICAL, Microsurface
 from brdfpipe.bsdf.representations.microfacet import Microfacet
 from brdfpipe.bsdf.spectral import at_wavelengths, per_wavelength
 from brdfpipe.bsdf.wave.two_scale import Angles, RoughSurface
+from brdfpipe.facets.planar_density import Ellipse
 from brdfpipe.geometry import Array, as_numbers
 from brdfpipe.optics.fresnel_equations import fresnel, reflectance_of
 
@@ -189,8 +190,24 @@ class Wave(Representation):
     def slope_of(bsdf: xr.Dataset) -> float:
         """That of a ``bsdf`` dataset."""
         of_facets = Microsurface.of(bsdf).typical_slope if "slope_density" in bsdf else 1.0
+        return min(Wave._halo_slope(bsdf), of_facets)
+
+    @staticmethod
+    def widths_of(bsdf: xr.Dataset) -> tuple[float, float]:
+        """Slopes along the lay and across it over which the halo or the facets of a ``bsdf`` dataset vary, whichever is narrower."""
+        of_halo = Wave._halo_slope(bsdf)
+        squared = float(bsdf["halo_stretch"]) ** 2 if "halo_stretch" in bsdf else 1.0
+        widths = of_halo, of_halo * squared
+        if "slope_along" not in bsdf.coords:
+            return widths
+        ellipse = Ellipse.of(bsdf)
+        return min(widths[0], ellipse.along), min(widths[1], ellipse.across)
+
+    @staticmethod
+    def _halo_slope(bsdf: xr.Dataset) -> float:
+        """Slope at which the halo has half its peak, with a lay along it; 1 without a halo."""
         if "log_halo" not in bsdf:
-            return of_facets
+            return 1.0
         wavelength = bsdf["mixed_wavelength" if "mixture" in bsdf else "wavelength"].values
         middle = float(wavelength[wavelength.size // 2]) * 1e-3
         phase, frequency = bsdf["phase_variance"].values, bsdf["halo_frequency"].values
@@ -201,7 +218,7 @@ class Wave(Representation):
         # A measured spectrum has no heights longer than the scan, and its halo a dip in the middle.
         below = (values < values.max() - np.log(2)) & (np.arange(values.size) > values.argmax())
         half = frequency[below.argmax()] if below.any() else frequency[-1]
-        return min(float(np.clip(half * middle / 2, 1e-9, 1.0)), of_facets)
+        return float(np.clip(half * middle / 2, 1e-9, 1.0))
 
     def nonspectral(self, weight: Array) -> xr.Dataset:
         """The mean over wavelength. Coherent part and halo are evaluated at a few wavelengths that stand for all of them."""

@@ -87,14 +87,14 @@ _MIDDLE = 0.55
 """Wavelength at which a surface is judged [um]."""
 _LEAST_SIGMA = 1e-9
 """Rms height below which a surface is as good as flat [um]."""
-_INCIDENCES, _LAY_INCIDENCES = 33, 21
+_INCIDENCES, _LAY_INCIDENCES = 33, 33
 """Angles of incidence at which the reflectance is integrated."""
 _WAVELENGTHS, _LAY_WAVELENGTHS = 12, 6
 """Wavelengths at which the reflectance is integrated; over the others its ratio to Fresnel's is interpolated."""
 _ITERATIONS, _CLOSURES = 60, (0.02, 2.0)
 """Of the factors that close the energy of the halo, and their limits."""
-_ARCS: Array = 20.0 * np.arange(9.0)
-"""Arcs, in the sense of :func:`azimuth_to_arc`, at which that of a surface with a lay is [degree]."""
+_ARCS_A_HALF, _ARCS_A_TURN = 9, 21
+"""Numbers of arcs, in the sense of :func:`azimuth_to_arc`, at which that of a surface with a lay is; odd, for interpolation."""
 _LAY_STEP = 15.0
 """Step of its table, of a surface without facets [degree]."""
 _ROUGH_STEP = 0.5
@@ -457,7 +457,7 @@ def _with_albedo(bsdf: xr.Dataset, theta_m: float, psd: xr.Dataset) -> xr.Datase
     lost, dims = between(missing + excess[:, None]), ["theta_i"]
     if "phi_i" in bsdf.coords:
         ellipse, phi = ellipse_of(bsdf), bsdf["phi_i"].values
-        turned = np.einsum("tal,pa->tpl", lost, _between_azimuths(azimuth_to_arc(ellipse, phi)))
+        turned = np.einsum("tal,pa->tpl", lost, _between_azimuths(azimuth_to_arc(ellipse, phi), *_arcs(bsdf)))
         values, dims = np.clip(table.values[:, None] - turned, 0.0, 1.0), ["theta_i", "phi_i"]
         albedo = energy.AlbedoTable(table.theta, values, phi, ellipse)
     else:
@@ -483,12 +483,12 @@ def _with_closure(
     The coherent light of a perfect mirror loses what its surface scatters. That is g at steep incidence, and the light of first order
     where g is small, which near grazing is more than g. Of the halo the factor of both directions, N(θ_i)N(θ_o), is found by iteration.
     """
-    wavelength, slope = bsdf["wavelength"].values, Wave.slope_of(bsdf)
+    wavelength = bsdf["wavelength"].values
     few = _few(wavelength, azimuths)
-    surface = surface.prepared_for(_count(slope, theta, azimuths) * few.size)
+    surface = surface.prepared_for(_count(bsdf, theta, azimuths) * few.size)
     first_order, kernel = np.zeros((theta.size, few.size)), np.zeros((few.size, theta.size, theta.size))
     for row, angle in enumerate(theta[theta < 90]):
-        for weight, angles in _directions(slope, float(angle), azimuths):
+        for weight, angles in _directions(bsdf, float(angle), azimuths):
             halo, first = np.moveaxis(surface.halo_of_mirrors(angles, wavelength[few]) * weight[:, None, None], -1, 0)
             first_order[row] += first.sum(axis=0)
             place = closure_place(np.cos(np.radians(angles[2])), theta.size)
@@ -542,20 +542,21 @@ def _between_wavelengths(values: Array, few: NDArray[np.int64], wavelength: Arra
     return np.asarray(CubicSpline(wavelength[few], ratio, axis=-1)(wavelength) * scale)
 
 
-def _directions(slope: float, theta_i: float, azimuths: Array) -> Iterator[tuple[Array, Angles]]:
-    """Weights and directions of an integral over a lobe of that slope, by azimuths of incidence and sides of the plane of incidence."""
-    isotropic = azimuths.size == 1
-    rule = hemisphere.around_mirror(theta_i, slope, order=5, turns=12 if isotropic else 24)
-    for azimuth in azimuths:
-        incident = np.full_like(rule.theta, theta_i), np.full_like(rule.theta, azimuth)
+def _directions(bsdf: xr.Dataset, theta_i: float, azimuths: Array) -> Iterator[tuple[Array, Angles]]:
+    """Weights and directions of an integral over the lobe, by azimuths of incidence."""
+    if azimuths.size == 1:
         # The rule covers one side of the plane of incidence.
-        for side in (1,) if isotropic else (1, -1):
-            yield rule.weight / (1 if isotropic else 2), (*incident, rule.theta, azimuth + side * rule.phi)
+        rules = [hemisphere.around_mirror(theta_i, Wave.slope_of(bsdf), order=5, turns=12)]
+    else:
+        (along, across), lay = Wave.widths_of(bsdf), ellipse_of(bsdf).lay
+        rules = [hemisphere.around_mirror_with_lay(theta_i, float(phi), along, across, lay) for phi in azimuths]
+    for azimuth, (theta, phi, weight) in zip(azimuths, rules, strict=True):
+        yield weight, (np.full_like(theta, theta_i), np.full_like(theta, azimuth), theta, phi)
 
 
-def _count(slope: float, theta: Array, azimuths: Array) -> int:
+def _count(bsdf: xr.Dataset, theta: Array, azimuths: Array) -> int:
     """About how many directions the integrals at all angles of incidence have."""
-    return theta.size * sum(weight.size for weight, _ in _directions(slope, 45.0, azimuths))
+    return theta.size * sum(weight.size for weight, _ in _directions(bsdf, 45.0, azimuths))
 
 
 def _with_energy_statement(bsdf: xr.Dataset, missing: Array, theta: Array) -> xr.Dataset:
@@ -575,28 +576,36 @@ def _with_energy_statement(bsdf: xr.Dataset, missing: Array, theta: Array) -> xr
 def _scattered(surface: RoughSurface, bsdf: xr.Dataset, theta: Array, azimuths: Array) -> Array:
     """∫ f cos θ_o dω_o without coherent and diffuse light, (incidences, azimuths, wavelength)."""
     n, k, wavelength = (bsdf[name].values for name in ("n", "k", "wavelength"))
-    few, slope = _few(wavelength, azimuths), Wave.slope_of(bsdf)
-    surface = surface.prepared_for(_count(slope, theta, azimuths) * few.size)
-    sides = 1 if azimuths.size == 1 else 2
+    few = _few(wavelength, azimuths)
+    surface = surface.prepared_for(_count(bsdf, theta, azimuths) * few.size)
     result = np.zeros((theta.size, azimuths.size, few.size))
     for row, angle in enumerate(theta[theta < 90]):
-        for number, (weight, angles) in enumerate(_directions(slope, float(angle), azimuths)):
-            result[row, number // sides] += weight @ surface.evaluate(angles, wavelength[few], n[few], k[few])
+        for number, (weight, angles) in enumerate(_directions(bsdf, float(angle), azimuths)):
+            result[row, number] = weight @ surface.evaluate(angles, wavelength[few], n[few], k[few])
     cosine = np.where(theta >= 90, 0.0, np.cos(np.radians(theta)))
     return _between_wavelengths(result, few, wavelength, np.asarray(fresnel(cosine[:, None], n, k).mean)[:, None])
 
 
+def _arcs(bsdf: xr.Dataset) -> tuple[Array, float]:
+    """Arcs at which the reflectance of a surface with a lay is integrated, and the part of a turn that they cover [degree].
+
+    The halo is the same after half a turn. The slopes of a scan are not, and near grazing incidence that shows.
+    """
+    count, period = (_ARCS_A_TURN, 360.0) if "slope_along" in bsdf.coords else (_ARCS_A_HALF, 180.0)
+    return np.arange(count) * period / count, period
+
+
 def _azimuths(bsdf: xr.Dataset) -> Array:
-    """Azimuths of incidence over half a turn at which the reflectance is integrated [degree]; one for a surface without a lay."""
+    """Azimuths of incidence at which the reflectance is integrated [degree]; one for a surface without a lay."""
     lay = "halo_azimuth" in bsdf.dims or "phi_i" in bsdf.coords
-    return arc_to_azimuth(ellipse_of(bsdf), _ARCS) if lay else np.zeros(1)
+    return arc_to_azimuth(ellipse_of(bsdf), _arcs(bsdf)[0]) if lay else np.zeros(1)
 
 
-def _between_azimuths(arcs: Array) -> Array:
-    """Weights (arcs, azimuths) of trigonometric interpolation between the azimuths, even in their arc over half a turn."""
-    turn = np.radians(arcs[:, None] - _ARCS)
-    harmonics = sum(np.cos(2 * order * turn) for order in range(1, (_ARCS.size - 1) // 2 + 1))
-    return np.asarray((1 + 2 * harmonics) / _ARCS.size)
+def _between_azimuths(arcs: Array, nodes: Array, period: float) -> Array:
+    """Weights (arcs, nodes) of trigonometric interpolation between an odd number of nodes over a period [degree]."""
+    turn = 2 * np.pi / period * (arcs[:, None] - nodes)
+    harmonics = sum(np.cos(order * turn) for order in range(1, (nodes.size - 1) // 2 + 1))
+    return np.asarray((1 + 2 * harmonics) / nodes.size)
 
 
 def _with_diffuse(bsdf: xr.Dataset, spectrum: xr.Dataset | None, theta_m: float) -> xr.Dataset:
@@ -607,7 +616,8 @@ def _with_diffuse(bsdf: xr.Dataset, spectrum: xr.Dataset | None, theta_m: float)
     model = Wave(bare)
     trapped = _trapped(model, spectrum, theta_m)
     total = spectrum["total_reflectance"].values.astype(float) + trapped
-    of_surface = model.albedo(np.array([theta_m]), np.zeros(1), None)[0]
+    phi = hemisphere.azimuths(model.isotropic)
+    of_surface = model.albedo(np.full(phi.size, theta_m), phi, None).mean(axis=0)
     # Below 1 by the error of the albedo's table, so that a white base does not violate energy conservation.
     base = np.minimum((total - of_surface) / np.maximum(1 - of_surface, 1e-12), 1 - 2e-8)
     result = with_diffuse_reflectance(bare, base, total)
