@@ -175,3 +175,17 @@ def test_a_table_with_a_part_that_is_not_smooth_is_the_spline_of_the_rest_and_th
     between = np.append(np.random.default_rng(0).uniform(0, 90, 200), [0, second.theta[3], theta[7], 90])
     expected = energy.AlbedoTable(theta, smooth)(between) + second.albedo(between)
     np.testing.assert_allclose(with_second(between), expected, rtol=1e-12, atol=1e-15)
+
+
+@pytest.mark.parametrize(
+    "anisotropy", [24.0, *(pytest.param(ratio, marks=pytest.mark.slow) for ratio in (1.0, 4.0, 12.0, 30.0))]
+)
+def test_facets_with_a_lay_reflect_light_from_the_normal_alike_at_all_azimuths(anisotropy):
+    surface = facets.analytic("beckmann", a_x=0.3 / anisotropy, a_y=0.3, azimuth=20.0)
+    with samples.coarse_albedo_tables():
+        bsdf = microfacet.build(surface, index=1.5, spectrum=samples.spectrum(0.06), multiple_scattering="none")
+    around = bsdf.bsdf.albedo(theta_i=0.0, phi_i=np.arange(0.0, 360.0, 15.0), wavelength=550.0).values
+    assert around == pytest.approx(0.06, abs=1e-3)
+    model, nm = representation(bsdf), np.array([550.0])
+    at = np.zeros(1), np.zeros(1)
+    assert around == pytest.approx(model.integrate(*at, nm, relative=1e-4).value.item(), abs=1e-3)
