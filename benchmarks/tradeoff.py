@@ -1,9 +1,8 @@
 """The trade of speed for accuracy: error and cost of every candidate model, for every scene with the cheapest model.
 
-``python benchmarks/tradeoff.py`` builds the candidates of random materials and of the examples, measures the error of each against the fullest
-one by the metric and in the domain of each scene, and writes what the planner of scenes looks up (``config/scenes/experience``), the fronts of
-the examples (``benchmarks/results/tradeoff.json``, compared with the previous ones) and ``docs/tradeoff.md``. Times are of the processor,
-of one thread, after compilation.
+``python benchmarks/tradeoff.py`` builds the candidates of random materials, measures the error of each against the fullest
+one by the metric and in the domain of each scene, and writes what the planner of scenes looks up (``config/scenes/experience``). Times are of the
+processor, of one thread, after compilation.
 """
 
 from __future__ import annotations
@@ -25,11 +24,9 @@ from typing import Any
 import click
 import numpy as np
 
-from brdfpipe import installation, store
-from brdfpipe.catalogue.catalogue import load
+from brdfpipe import store
 from brdfpipe.comparison.model_error import model_error
 from brdfpipe.errors import BrdfpipeError
-from brdfpipe.facets.analytic_distributions import analytic
 from brdfpipe.facets.estimation import estimate
 from brdfpipe.optics.index import refractive_index
 from brdfpipe.psd.estimation import estimate as roughness_spectrum
@@ -41,8 +38,6 @@ from brdfpipe.scenes.metrics import METRICS
 from brdfpipe.scenes.model_inputs import ModelInputs
 from brdfpipe.scenes.planning import chosen, judge
 from brdfpipe.scenes.scene import Scene, experience_file, load_scene, shipped_scenes
-from brdfpipe.spectra.ingestion import ingest as ingest_spectrum
-from brdfpipe.surfaces.reading import ingest as ingest_surface
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
@@ -65,21 +60,14 @@ KINDS = {
 METALS = 0.15
 """Share of random materials that are metals."""
 OPTIONS: Mapping[str, Mapping[str, Any]] = {"glare": {"n": 2048}, "rendering": {"n": 256, "side": 32}}
-FRESH: Mapping[str, Mapping[str, Any]] = {
-    "glare": {"n": 10_000, "seed": 9},
-    "rendering": {"n": 256, "side": 48},
-    "colour": {"seed": 9},
-}
-"""Options of the metrics for a proof, with directions that no choice has seen."""
 RENDERED = 3
 """One in so many random materials is rendered: pictures cost more than all other metrics together."""
-RESULTS = Path(__file__).parent / "results" / "tradeoff.json"
 
 
 def planned_scenes() -> list[Scene]:
-    """The shipped scenes that take the cheapest model."""
+    """The shipped scenes that accept the cheapest model."""
     scenes = (load_scene(name) for name in shipped_scenes())
-    return [scene for scene in scenes if scene.plans]
+    return [scene for scene in scenes if scene.accepts_cheapest]
 
 
 # --- materials
@@ -121,33 +109,10 @@ def random_material(seed: int) -> tuple[str, ModelInputs]:
     return kind, ModelInputs(refractive_index(index), spectrum, estimate(surface), roughness_spectrum(surface), surface)
 
 
-def example_materials() -> dict[str, ModelInputs]:
-    """The examples with a surface, an index and a spectrum, read as their stages read them."""
-    found = {}
-    for material in load(installation.project_folder() / "examples").materials:
-        content = material.content
-        if "surface" not in content or "index" not in content or "slab" in content or "rig" in content:
-            continue
-        index = refractive_index(content["index"], material.files.get("index"))
-        surface = psd = None
-        if "surface" in material.files:
-            surface = ingest_surface(material.files["surface"], content["surface"])
-            facets, psd = estimate(surface), roughness_spectrum(surface)
-        else:
-            facets = analytic(content["surface"]["distribution"], a=content["surface"]["a"])
-        spectrum = (
-            ingest_spectrum(content["spectrum"], material.files.get("spectrum"), index=index)
-            if "spectrum" in content
-            else None
-        )
-        found[material.name] = ModelInputs(index, spectrum, facets, psd, surface)
-    return found
-
-
 # --- measurements
 
 
-def measure(inputs: ModelInputs, scenes: list[Scene], *, fresh: bool = False) -> dict[str, Any]:
+def measure(inputs: ModelInputs, scenes: list[Scene]) -> dict[str, Any]:
     """Cost, size and error of every candidate, by its key; the error by scene, against the fullest."""
     fullest = build(FULLEST, inputs)
     rows: dict[str, Any] = {}
@@ -160,7 +125,7 @@ def measure(inputs: ModelInputs, scenes: list[Scene], *, fresh: bool = False) ->
             continue
         rows[candidate.key] = {"cost": time.process_time() - start, "bytes": bsdf.nbytes, "errors": {}}
         for scene in scenes:
-            options = (FRESH if fresh else OPTIONS).get(scene.content["metric"], {})
+            options = OPTIONS.get(scene.content["metric"], {})
             try:
                 figure = METRICS[scene.content["metric"]].error(bsdf, fullest, scene.domain, **options)
             except BrdfpipeError as error:
@@ -241,21 +206,6 @@ def left_out(scene: Scene, experience: Experience) -> dict[str, float]:
         "within_1.3": float(np.mean(np.array(costs) <= 1.3 * np.array(cheapest))),
         "saved": 1 - float(np.sum(costs) / np.sum(fullest)),
     }
-
-
-def front(rows: Mapping[str, Any], scene: str) -> list[str]:
-    """Keys of the candidates that no other beats in error, cost and bytes at once, the cheapest first."""
-    usable = {
-        key: (one["errors"][scene], one["cost"], one["bytes"])
-        for key, one in rows.items()
-        if scene in one.get("errors", {})
-    }
-    best = [
-        key
-        for key, own in usable.items()
-        if not any(all(b <= a for a, b in zip(own, other, strict=True)) and other != own for other in usable.values())
-    ]
-    return sorted(best, key=lambda key: usable[key][1])
 
 
 @click.command(help=__doc__)

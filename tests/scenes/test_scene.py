@@ -191,6 +191,10 @@ def test_a_stage_runs_only_where_its_result_is_asked_for(
     assert stages_of(subjects["catalogue"]) == everything
     assert everything >= {*shared, "bsdf", "model_error", "uncertainty", "lambert_gauss", "report"}
     assert "nominal_bsdf" not in everything
+    # Errors are measured for the scenes that accept the cheapest model, before any of them takes it.
+    accepting = {name for name in shipped_scenes() if load_scene(name).accepts_cheapest}
+    assert accepting == set(shipped_scenes()) - {"catalogue", "metrology-full"}
+    assert not any(load_scene(name).plans for name in accepting)
 
 
 def test_a_model_is_planned_where_errors_were_measured_for_the_scene(

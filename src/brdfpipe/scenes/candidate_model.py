@@ -20,7 +20,6 @@ from brdfpipe.masking import visibility_choice
 from brdfpipe.optics.index import interpolate_index
 from brdfpipe.scenes.ladders import Candidate
 from brdfpipe.scenes.model_inputs import ONE_WAVELENGTH, ModelInputs
-from brdfpipe.spectra import colorimetry
 
 FITTED_INCIDENCES = np.array([0.0, 10, 20, 30, 40, 50, 60, 70, 75, 80, 85])
 """Angles of incidence at which Lambert + Gauss is fitted [degree]."""
@@ -106,10 +105,10 @@ def banded(candidate: Candidate, inputs: ModelInputs) -> tuple[xr.Dataset, xr.Da
         return index, spectrum
     known = spectrum["wavelength"].values
     if candidate.bands == "one":
-        weight = colorimetry.luminous_weight(known)
         chosen = spectrum.sel(wavelength=[ONE_WAVELENGTH], method="nearest")
-        luminous = float(weight @ spectrum["total_reflectance"].values / weight.sum())
-        return index, chosen.assign(total_reflectance=chosen["total_reflectance"].copy(data=[luminous]))
+        return index, chosen.assign(
+            total_reflectance=chosen["total_reflectance"].copy(data=[inputs.luminous_reflectance])
+        )
     wanted = (
         THREE_WAVELENGTHS if candidate.bands == "three" else np.arange(known[0], known[-1] + WIDE_STEP / 2, WIDE_STEP)
     )

@@ -13,7 +13,6 @@ from brdfpipe.geometry import Array
 from brdfpipe.optics.fresnel_equations import fresnel
 from brdfpipe.optics.index import interpolate_index
 from brdfpipe.scenes.model_inputs import ONE_WAVELENGTH, ModelInputs
-from brdfpipe.spectra import colorimetry
 
 FEATURES = {
     "log_slope": 0.35,
@@ -64,9 +63,7 @@ def features(inputs: ModelInputs) -> dict[str, float]:
     if facets["slope_density"].ndim == 2:
         result["log_anisotropy"] = math.log(float(facets["anisotropy"]))
     result["log_mirror"] = math.log(float(fresnel(1.0, n, k)[2]))
-    if inputs.spectrum is not None:
-        weight = colorimetry.luminous_weight(inputs.spectrum["wavelength"].values)
-        result["diffuse"] = float(weight @ inputs.spectrum["total_reflectance"].values / weight.sum())
+    result["diffuse"] = inputs.luminous_reflectance
     return result
 
 

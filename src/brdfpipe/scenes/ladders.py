@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from itertools import product
 from typing import NamedTuple
@@ -133,13 +133,3 @@ def structures(*, surface: bool, heights: bool, spectrum_known: bool, lay: bool,
             )
         ]
     return tuple(candidates)
-
-
-def spectral_rungs(*, spectrum_known: bool, dispersion: bool) -> Iterator[dict[str, str]]:
-    """Combinations of the spectral ladders that differ for a material."""
-    for diffuse, index, bands in product(
-        ("none", "coupled") if spectrum_known else ("coupled",),
-        ("constant", "dispersive") if dispersion else ("dispersive",),
-        [rung.name for rung in LADDERS["bands"]],
-    ):
-        yield {"diffuse": diffuse, "index": index, "bands": bands}

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import xarray as xr
 
 from brdfpipe.scenes.ladders import Candidate, structures
+from brdfpipe.spectra import colorimetry
 
 ONE_WAVELENGTH = 555.0
 """Wavelength at which a material is judged, and of a single band [nm]."""
@@ -26,6 +27,14 @@ class ModelInputs:
     """Kind ``psd``"""
     surface: xr.Dataset | None = None
     """Kind ``surface``, the first scan of the facets"""
+
+    @property
+    def luminous_reflectance(self) -> float:
+        """Total reflectance weighted with V(λ)·D65; 0 without a spectrum."""
+        if self.spectrum is None:
+            return 0.0
+        weight = colorimetry.luminous_weight(self.spectrum["wavelength"].values)
+        return float(weight @ self.spectrum["total_reflectance"].values / weight.sum())
 
     @property
     def structures(self) -> tuple[Candidate, ...]:

@@ -63,10 +63,14 @@ class Scene:
         return tuple(part for part in PARTS if self.asks(part))
 
     @property
+    def accepts_cheapest(self) -> bool:
+        """Whether the scene takes the cheapest model once errors are measured for it; uncertainties and model errors are those of the fullest one."""
+        return self.content["model"] == CHEAPEST and not self.asks("uncertainty", "model_error", "comparison")
+
+    @property
     def plans(self) -> bool:
-        """Whether the cheapest model is taken: errors were measured for the scene, and it asks for no uncertainty, which is of the fullest one."""
-        wanted = self.content["model"] == CHEAPEST and not self.asks("uncertainty", "model_error", "comparison")
-        return wanted and experience_file(self.name).is_file()
+        """Whether the cheapest model is taken: the scene accepts it, and errors were measured for the scene."""
+        return self.accepts_cheapest and experience_file(self.name).is_file()
 
     @property
     def accepted_error(self) -> dict[str, Any]:
