@@ -158,13 +158,14 @@ def _gloss_error(inputs: ModelInputs) -> float | None:
 
 
 def measured_material(seed: int, folder: Path) -> Path:
-    """Measure a random material, once."""
+    """Measure a random material; again only if the scenes changed since."""
     file = folder / f"{seed}.json"
-    if not file.exists():
+    scenes = [one for one in planned_scenes() if one.content["metric"] != "rendering" or seed % RENDERED == 0]
+    measured_for = {scene.name: scene.errors_of for scene in scenes}
+    if not file.exists() or json.loads(file.read_text()).get("measured_for") != measured_for:
         kind, inputs = random_material(seed)
         row = {"name": f"{kind} {seed}", "features": features(inputs), "model_error": _gloss_error(inputs)}
-        scenes = [one for one in planned_scenes() if one.content["metric"] != "rendering" or seed % RENDERED == 0]
-        row["candidates"] = measure(inputs, scenes)
+        row |= {"candidates": measure(inputs, scenes), "measured_for": measured_for}
         store.write_text(file, json.dumps(row))
     return file
 
