@@ -15,6 +15,7 @@ import xarray as xr
 from numpy.typing import ArrayLike
 
 from brdfpipe import vocabulary
+from brdfpipe.content_cache import cached_by_content
 from brdfpipe.errors import VocabularyError
 from brdfpipe.facets.radial_density import RadialDensity
 from brdfpipe.geometry import Array, HalfVector, broadcast, check_angles, checked_angles, half_vector
@@ -189,16 +190,13 @@ class VisibilityRatio:
     @classmethod
     def of(cls, dataset: xr.Dataset) -> VisibilityRatio:
         """The ratio of a ``visibility`` dataset, or of a ``bsdf`` with masking ``measured``."""
-        from scipy.ndimage import zoom
-
-        table = np.log(dataset["visibility_ratio"].transpose("grazing", "steepness", "asymmetry").values.astype(float))
-        finer = [(_FINER * (size - 1) + 1) / size for size in table.shape]
+        ratio = dataset["visibility_ratio"].transpose("grazing", "steepness", "asymmetry").values
         limit_cos, limit = np.array([0.0, 1.0]), np.ones(2)
         if "visibility_limit" in dataset:
             limit_cos = np.cos(np.radians(dataset["limit_theta"].values[::-1].astype(float)))
             limit = dataset["visibility_limit"].values[::-1].astype(float)
         last = float(dataset["grazing"][-1]), float(dataset["steepness"][-1])
-        return cls(zoom(table, finer, order=3, mode="mirror"), last, limit_cos, limit)
+        return cls(_finer_log(ratio), last, limit_cos, limit)
 
     def __call__(self, pair: HalfVector, width: float) -> Array:
         """Ratio of G2 to Smith's at directions above the horizon; ``width`` is the median slope of the facets."""
@@ -226,6 +224,18 @@ class VisibilityRatio:
             visible = np.minimum(visible, 1 / (pair.cos_i * pair.cos_o))
         limit_i, limit_o = (np.interp(cos, self.limit_cos, self.limit) for cos in (pair.cos_i, pair.cos_o))
         return np.asarray(visible * (limit_i * limit_o))
+
+
+_FINER = 4  # nodes of the finer table per node
+
+
+@cached_by_content(4)
+def _finer_log(ratio: Array) -> Array:
+    """The logarithm of a table, interpolated with cubic splines to a finer one."""
+    from scipy.ndimage import zoom
+
+    table = np.log(ratio.astype(float))
+    return np.asarray(zoom(table, [(_FINER * (size - 1) + 1) / size for size in table.shape], order=3, mode="mirror"))
 
 
 @dataclass(frozen=True)
@@ -259,9 +269,6 @@ class SingleVisibility:
         steepness = np.clip(steepness, self.steepness[0], self.steepness[-1])
         table = RegularGridInterpolator((self.grazing, self.steepness), self.ratio)
         return np.asarray(table(np.stack(np.broadcast_arrays(grazing, steepness), axis=-1)))
-
-
-_FINER = 4  # nodes of the finer table per node
 
 
 VISIBILITY: dict[str, Visibility] = {

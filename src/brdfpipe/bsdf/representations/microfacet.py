@@ -29,7 +29,7 @@ class Interface(Representation):
 
     def __init__(self, dataset: xr.Dataset) -> None:
         super().__init__(dataset)
-        self._surface = surface = Microsurface.of(dataset) if "slope_density" in dataset else None
+        self.surface = surface = Microsurface.of(dataset) if "slope_density" in dataset else None
         self._model = per_wavelength(lambda wavelength: Model.of(dataset, wavelength, surface))
 
     def evaluate(self, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array, wavelength: Array | None) -> Array:
@@ -77,7 +77,7 @@ class Interface(Representation):
     @property
     def lobe_slope(self) -> float:
         """Median slope of the facets."""
-        return UNRESOLVED_SLOPE if self._surface is None else self._surface.typical_slope
+        return UNRESOLVED_SLOPE if self.surface is None else self.surface.typical_slope
 
     def nonspectral(self, weight: Array) -> xr.Dataset:
         """The surface with the weighted mean of the reflectance, and one index.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -181,7 +182,7 @@ class Wave(Representation):
             return super().lay
         return (float(self.dataset["halo_lay"]) + 90) % 180 - 90
 
-    @property
+    @cached_property
     def lobe_slope(self) -> float:
         """Facet slope at which the halo has half its peak, at normal incidence and the middle wavelength, or of the facets if smaller."""
         return self.slope_of(self.dataset)

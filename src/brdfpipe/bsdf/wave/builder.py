@@ -8,7 +8,7 @@ part IV, 209), Bennett & Porteus 1961 (J. Opt. Soc. Am. 51, 123).
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -484,11 +484,11 @@ def _with_closure(
     where g is small, which near grazing is more than g. Of the halo the factor of both directions, N(θ_i)N(θ_o), is found by iteration.
     """
     wavelength = bsdf["wavelength"].values
-    few = _few(wavelength, azimuths)
-    surface = surface.prepared_for(_count(bsdf, theta, azimuths) * few.size)
+    few, directions = _few(wavelength, azimuths), _directions(bsdf, azimuths)
+    surface = surface.prepared_for(_count(directions, theta) * few.size)
     first_order, kernel = np.zeros((theta.size, few.size)), np.zeros((few.size, theta.size, theta.size))
     for row, angle in enumerate(theta[theta < 90]):
-        for weight, angles in _directions(bsdf, float(angle), azimuths):
+        for weight, angles in directions(float(angle)):
             halo, first = np.moveaxis(surface.halo_of_mirrors(angles, wavelength[few]) * weight[:, None, None], -1, 0)
             first_order[row] += first.sum(axis=0)
             place = closure_place(np.cos(np.radians(angles[2])), theta.size)
@@ -542,21 +542,28 @@ def _between_wavelengths(values: Array, few: NDArray[np.int64], wavelength: Arra
     return np.asarray(CubicSpline(wavelength[few], ratio, axis=-1)(wavelength) * scale)
 
 
-def _directions(bsdf: xr.Dataset, theta_i: float, azimuths: Array) -> Iterator[tuple[Array, Angles]]:
-    """Weights and directions of an integral over the lobe, by azimuths of incidence."""
+def _directions(bsdf: xr.Dataset, azimuths: Array) -> Callable[[float], Iterator[tuple[Array, Angles]]]:
+    """Weights and directions of an integral over the lobe, by azimuths of incidence, as a function of its angle [degree]."""
     if azimuths.size == 1:
-        # The rule covers one side of the plane of incidence.
-        rules = [hemisphere.around_mirror(theta_i, Wave.slope_of(bsdf), order=5, turns=12)]
+        slope = Wave.slope_of(bsdf)
     else:
         (along, across), lay = Wave.widths_of(bsdf), ellipse_of(bsdf).lay
-        rules = [hemisphere.around_mirror_with_lay(theta_i, float(phi), along, across, lay) for phi in azimuths]
-    for azimuth, (theta, phi, weight) in zip(azimuths, rules, strict=True):
-        yield weight, (np.full_like(theta, theta_i), np.full_like(theta, azimuth), theta, phi)
+
+    def at_incidence(theta_i: float) -> Iterator[tuple[Array, Angles]]:
+        if azimuths.size == 1:
+            # The rule covers one side of the plane of incidence.
+            rules = [hemisphere.around_mirror(theta_i, slope, order=5, turns=12)]
+        else:
+            rules = [hemisphere.around_mirror_with_lay(theta_i, float(phi), along, across, lay) for phi in azimuths]
+        for azimuth, (theta, phi, weight) in zip(azimuths, rules, strict=True):
+            yield weight, (np.full_like(theta, theta_i), np.full_like(theta, azimuth), theta, phi)
+
+    return at_incidence
 
 
-def _count(bsdf: xr.Dataset, theta: Array, azimuths: Array) -> int:
+def _count(directions: Callable[[float], Iterator[tuple[Array, Angles]]], theta: Array) -> int:
     """About how many directions the integrals at all angles of incidence have."""
-    return theta.size * sum(weight.size for weight, _ in _directions(bsdf, 45.0, azimuths))
+    return theta.size * sum(weight.size for weight, _ in directions(45.0))
 
 
 def _with_energy_statement(bsdf: xr.Dataset, missing: Array, theta: Array) -> xr.Dataset:
@@ -576,11 +583,11 @@ def _with_energy_statement(bsdf: xr.Dataset, missing: Array, theta: Array) -> xr
 def _scattered(surface: RoughSurface, bsdf: xr.Dataset, theta: Array, azimuths: Array) -> Array:
     """∫ f cos θ_o dω_o without coherent and diffuse light, (incidences, azimuths, wavelength)."""
     n, k, wavelength = (bsdf[name].values for name in ("n", "k", "wavelength"))
-    few = _few(wavelength, azimuths)
-    surface = surface.prepared_for(_count(bsdf, theta, azimuths) * few.size)
+    few, directions = _few(wavelength, azimuths), _directions(bsdf, azimuths)
+    surface = surface.prepared_for(_count(directions, theta) * few.size)
     result = np.zeros((theta.size, azimuths.size, few.size))
     for row, angle in enumerate(theta[theta < 90]):
-        for number, (weight, angles) in enumerate(_directions(bsdf, float(angle), azimuths)):
+        for number, (weight, angles) in enumerate(directions(float(angle))):
             result[row, number] = weight @ surface.evaluate(angles, wavelength[few], n[few], k[few])
     cosine = np.where(theta >= 90, 0.0, np.cos(np.radians(theta)))
     return _between_wavelengths(result, few, wavelength, np.asarray(fresnel(cosine[:, None], n, k).mean)[:, None])

@@ -29,6 +29,7 @@ import xarray as xr
 from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates, spline_filter, spline_filter1d
 
+from brdfpipe.content_cache import cached_by_content
 from brdfpipe.geometry import Array, HalfVector, slope_towards
 
 _TINY = 1e-300
@@ -183,7 +184,7 @@ class Halo:
             float(np.arcsinh(frequency[-1] / scale)) / (frequency.size - 1),
             _closed_form(bsdf),
             Stretch(float(bsdf["halo_lay"]), float(bsdf["halo_stretch"])) if lay else None,
-            first_order=_spline(np.log(_first_order_share(values, phase, frequency))) if by_order else None,
+            first_order=_first_order_spline(values, phase, frequency) if by_order else None,
         )
 
     def phase_variance(self, cosines: Array, wavelength: Array) -> Array:
@@ -284,6 +285,12 @@ class Halo:
         }
 
 
+@cached_by_content(8)
+def _first_order_spline(log_transform: Array, phase: Array, frequency: Array) -> Array:
+    """Coefficients of a spline through the logarithm of :func:`_first_order_share`."""
+    return _spline(np.log(_first_order_share(log_transform, phase, frequency)))
+
+
 def _first_order_share(log_transform: Array, phase: Array, frequency: Array) -> Array:
     """Share of the amplitude [1] that reflects as waves of first order do, at the nodes of a table.
 
@@ -291,13 +298,13 @@ def _first_order_share(log_transform: Array, phase: Array, frequency: Array) -> 
     K is e^(−g) ∫ e^g K/g dg / K. Orders of roughness coarser than half the frequency do not count: what is scattered once by finer
     roughness, g S/σ² dimmed by that roughness, remains of first order.
     """
+    step = np.diff(phase).reshape(-1, *(1,) * (log_transform.ndim - 1))
+    # Between two nodes e^g K/g grows exponentially.
+    growth = np.maximum(np.diff(log_transform, axis=0) + step, 1e-12)
+    decay, here = np.exp(-growth), step * -np.expm1(-growth) / growth
     of_order = np.ones_like(log_transform)
     for row in range(1, phase.size):
-        step = phase[row] - phase[row - 1]
-        # Between two nodes e^g K/g grows exponentially.
-        growth = np.maximum(log_transform[row] - log_transform[row - 1] + step, 1e-12)
-        before, here = of_order[row - 1] * phase[row - 1] * np.exp(-growth), step * -np.expm1(-growth) / growth
-        of_order[row] = (before + here) / phase[row]
+        of_order[row] = (of_order[row - 1] * phase[row - 1] * decay[row - 1] + here[row - 1]) / phase[row]
     spectrum = np.exp(log_transform[0])
     level = spectrum if spectrum.ndim == 1 else spectrum.mean(axis=1)
     cumulative = np.append(0.0, np.cumsum(np.pi * np.diff(frequency**2) * (level[1:] + level[:-1]) / 2))

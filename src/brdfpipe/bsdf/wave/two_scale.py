@@ -134,13 +134,17 @@ class Relief:
     facets: Microfacet
     fine: Halo | None
     """Of the roughness upon the facets: ``spline`` holds ln(K′/g); None without any"""
-    surface: Microsurface
     masking: str
 
     @classmethod
     def of(cls, bsdf: xr.Dataset) -> Relief:
         """The relief of a ``bsdf`` dataset, representation ``wave``, with facets."""
-        return cls(Microfacet(facet_bsdf(bsdf)), _fine_halo(bsdf), Microsurface.of(bsdf), str(bsdf.attrs["masking"]))
+        return cls(Microfacet(facet_bsdf(bsdf)), _fine_halo(bsdf), str(bsdf.attrs["masking"]))
+
+    @property
+    def surface(self) -> Microsurface:
+        assert self.facets.surface is not None
+        return self.facets.surface
 
     def undimmed(self, cosines: Array, wavelength: Array) -> Array:
         """Share e^(−g_f) of the facets' reflection that the finer roughness leaves, (…, wavelength)."""
