@@ -4,7 +4,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
+
+from brdfpipe.catalogue.catalogue import load
+from brdfpipe.jobs.budgets import _without
 from brdfpipe.jobs.build import build
+from brdfpipe.scenes.scene import load_scene
+from brdfpipe.stages import Subject
 
 SCENE = """\
 purpose: a test
@@ -21,5 +27,25 @@ def test_a_build_names_the_materials_that_exceed_the_budget(folder: Path, projec
     notices = build(folder, tmp_path / "results", cores=2, scene=str(scene)).notices
     assert [notice.split(":")[0] for notice in notices] == ["first", "first", "second", "second"]
     assert all("the budget of the scene mine is" in notice for notice in notices)
+    assert [("raise `budget.seconds`" in notice, "largest: " in notice) for notice in notices[:2]] == [
+        (True, False),
+        (False, True),
+    ]
     scene.write_text(f"{SCENE}budget: {{bytes: 1e9, seconds: 1e9}}\n")
     assert build(folder, tmp_path / "results", cores=2, scene=str(scene)).notices == ()
+
+
+@pytest.mark.parametrize(
+    ("budget", "words"),
+    [
+        (4.0, "without `table` it would take 3.5 s"),
+        (2.0, "without `table`, `checks` it would take 1.5 s"),
+        (1.0, "without `table`, `checks` it would take 1.5 s, still too long: raise `budget.seconds`"),
+    ],
+)
+def test_results_that_save_most_are_given_up_first(folder: Path, tmp_path: Path, budget: float, words: str) -> None:
+    (tmp_path / "mine.yaml").write_text(SCENE.replace("[checks]", "[checks, table]"))
+    catalogue = load(folder)
+    subject = Subject(catalogue["first"], catalogue.config, (), load_scene(tmp_path / "mine.yaml"))
+    costs = {"checks": 2.0, "table": 3.0, "spectrum": 1.5}
+    assert _without(subject, costs, sum(costs.values()), budget) == words

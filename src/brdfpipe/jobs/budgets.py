@@ -1,16 +1,22 @@
-"""Which materials cost more than the budget of their scene: time of their jobs, size of their results."""
+"""Which materials cost more than the budget of their scene, and what would have to be given up."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 
 from brdfpipe.catalogue.catalogue import Catalogue
+from brdfpipe.scenes.scene import Scene
+from brdfpipe.stages import STAGES, Subject
+
+_NAMED_FILES = 3
+"""Largest files that are named."""
 
 
 def exceeded(results: Path, catalogue: Catalogue, names: Iterable[str]) -> Iterator[str]:
-    """A sentence for each material that exceeds the budget of its scene.
+    """A sentence for each material that exceeds the budget of its scene, with the results that would have to be given up.
 
     The time is that of the last run of each job, by the clock; both include what the scene shares with others.
     """
@@ -20,11 +26,55 @@ def exceeded(results: Path, catalogue: Catalogue, names: Iterable[str]) -> Itera
         places = list(dict.fromkeys(["", scene.folder])) if budget else []
         if "seconds" in budget:
             records = [path for place in places for path in (results / "logs" / place / name).glob("*.json")]
-            seconds = sum(json.loads(path.read_text(encoding="utf-8"))["wall_s"] for path in records)
+            costs = {path.stem: float(json.loads(path.read_text(encoding="utf-8"))["wall_s"]) for path in records}
+            seconds = sum(costs.values())
             if seconds > budget["seconds"]:
-                yield f"{name}: took {seconds:.1f} s; the budget of the scene {scene.name} is {budget['seconds']:g} s"
+                subject = Subject(catalogue[name], catalogue.config, (), scene)
+                yield (
+                    f"{name}: took {seconds:.1f} s; the budget of the scene {scene.name} is {budget['seconds']:g} s; "
+                    f"{_without(subject, costs, seconds, budget['seconds'])}"
+                )
         if "bytes" in budget:
             files = [path for place in places for path in (results / place / name).rglob("*") if path.is_file()]
-            size = sum(path.stat().st_size for path in files)
+            sizes = {path.relative_to(results).as_posix(): path.stat().st_size for path in files}
+            size = sum(sizes.values())
             if size > budget["bytes"]:
-                yield f"{name}: takes {size} bytes; the budget of the scene {scene.name} is {budget['bytes']}"
+                largest = sorted(sizes, key=lambda file: -sizes[file])[:_NAMED_FILES]
+                yield (
+                    f"{name}: takes {size} bytes; the budget of the scene {scene.name} is {budget['bytes']}; largest: "
+                    f"{', '.join(f'{file} ({sizes[file]})' for file in largest)}"
+                )
+
+
+def _without(subject: Subject, costs: Mapping[str, float], seconds: float, budget: float) -> str:
+    """Which results of the scene to give up for a budget of time, those that save most first."""
+    given_up: list[str] = []
+    while seconds > budget:
+        smaller = {name: _without_result(subject, name) for name in _results(subject)}
+        savings = {name: _cost(subject, costs) - _cost(one, costs) for name, one in smaller.items()}
+        dearest = max(savings, key=lambda name: savings[name], default=None)
+        if dearest is None or savings[dearest] <= 0:
+            break
+        subject = smaller[dearest]
+        seconds -= savings[dearest]
+        given_up.append(dearest)
+    if not given_up:
+        return f"no result of the scene can be given up for it: raise `budget.seconds` to {seconds:.2g}"
+    words = f"without {', '.join(f'`{name}`' for name in given_up)} it would take {seconds:.2g} s"
+    return words if seconds <= budget else f"{words}, still too long: raise `budget.seconds`"
+
+
+def _results(subject: Subject) -> list[str]:
+    return [] if subject.scene is None else list(subject.scene.content["results"])
+
+
+def _without_result(subject: Subject, result: str) -> Subject:
+    assert subject.scene is not None
+    remaining = [name for name in _results(subject) if name != result]
+    return replace(subject, scene=Scene(subject.scene.name, {**subject.scene.content, "results": remaining}))
+
+
+def _cost(subject: Subject, costs: Mapping[str, float]) -> float:
+    """Time of the jobs that a subject has, of those that ran."""
+    titles = {stage.job_title.format(**wildcards) for stage in STAGES.values() for wildcards in stage.jobs(subject)}
+    return sum(cost for title, cost in costs.items() if title in titles)
