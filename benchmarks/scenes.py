@@ -7,12 +7,13 @@ from __future__ import annotations
 
 import json
 import platform
-import re
 import subprocess
 import sys
 import tempfile
 import time
 from pathlib import Path
+
+from pages import renewed
 
 from brdfpipe.catalogue.catalogue import load
 from brdfpipe.scenes.scene import shipped_scenes
@@ -84,10 +85,7 @@ def with_costs(page: str, costs: dict[str, dict[str, float]]) -> str:
             f"| `{name}` | {one['jobs']:g} | {one['cpu_s']:.1f} s | {one['cpu_without_rig_s']:.1f} s | {one['bytes'] / 1e6:.1f} MB | "
             f"{one['bytes_without_rig'] / 1e6:.1f} MB | {times:.1f} × |"
         )
-    table = "\n".join(rows)
-    return re.sub(
-        r"(<!-- costs -->\n).*?(<!-- end -->)", lambda match: f"{match[1]}{table}\n{match[2]}", page, flags=re.DOTALL
-    )
+    return renewed(page, "costs", "\n".join(rows))
 
 
 if __name__ == "__main__":

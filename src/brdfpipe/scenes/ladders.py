@@ -36,6 +36,7 @@ LADDERS: Mapping[str, tuple[Rung, ...]] = {
     ),
     "multiple_scattering": (
         Rung("none", "light that facets reflect more than once"),
+        Rung("directional", "what the heights say of that light: it is computed after Smith"),
         Rung("auto", ""),
     ),
     "diffuse": (
@@ -123,13 +124,15 @@ def structures(*, surface: bool, heights: bool, spectrum_known: bool, lay: bool,
     candidates += [Candidate(name, **simple) for name in ("lambert-gauss", "beckmann", "ggx")]
     if waves:
         candidates.append(Candidate("counted", "wave", "height-correlated", "none"))
-    for distribution in ("isotropic", "counted") if lay else ("counted",):
-        candidates += [
-            Candidate(distribution, optics, masking, several)
-            for optics, masking, several in product(
-                ("facets", "auto") if waves else ("auto",),
-                ("height-correlated", "auto") if heights else ("auto",),
-                ("none", "auto"),
-            )
-        ]
+    optics = ("facets", "auto") if waves else ("auto",)
+    if lay:
+        candidates += [Candidate("isotropic", one, "height-correlated", "none") for one in optics]
+    reflections = ("none", "directional", "auto") if heights and not lay else ("none", "auto")
+    candidates += [
+        Candidate("counted", one, masking, several)
+        for one, masking, several in product(
+            optics, ("height-correlated", "auto") if heights else ("auto",), reflections
+        )
+        if (masking, several) != ("auto", "directional")
+    ]
     return tuple(candidates)
