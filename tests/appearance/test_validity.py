@@ -288,3 +288,9 @@ def test_the_fit_of_a_paint_is_judged_by_colours_that_it_could_miss():
 def test_other_materials_have_no_conditions():
     assert validity({"bsdf": vocabulary.label(samples.beckmann_bsdf(0.1), "bsdf")}) == []
     assert validity(datasets() | {"facets": facets.flat()}) == []
+
+
+@pytest.mark.parametrize(("contribution", "verdict"), [(0.45, "pass"), (0.55, "warn")])
+def test_few_facets_that_make_most_of_the_mean_square_slope_are_named(contribution, verdict):
+    few = facets.analytic("beckmann", 0.1).assign(tail_share=1e-4, tail_contribution=contribution)
+    assert judged(datasets(facets=few))["Extrapolated slopes"].verdict == verdict

@@ -31,6 +31,8 @@ NOISE_LIMIT = 0.2
 """Height noise over rms height above which its subtraction is uncertain; docs/model.md has the accuracy."""
 TAIL_LIMIT = 0.1
 """Share of facets beyond the counted slopes, above which the wings of the lobe are extrapolated."""
+TAIL_CONTRIBUTION_LIMIT = 0.5
+"""Share of the mean square slope that these facets have, above which few steep places, or errors of the scan, make most of it."""
 ERROR_LIMITS = 0.1, 0.5
 """Errors of the predicted light in the peak from which the verdict is warn, and fail."""
 GLOSS_LIMITS = 1.0, 5.0
@@ -283,11 +285,15 @@ def _tail(datasets: Datasets) -> Judgement | None:
     finding = f"{share:.2%} of the facets"
     if "tail_slope" in facets:
         finding += f", from a slope of {float(facets['tail_slope']):.2g}"
+    contribution = float(facets.get("tail_contribution", 0.0))
     if "tail_contribution" in facets:
-        finding += f", with {float(facets['tail_contribution']):.0%} of the mean square slope"
-    if share <= TAIL_LIMIT:
-        return Judgement("Extrapolated slopes", finding, "pass")
-    return Judgement("Extrapolated slopes", finding, "warn", "Measure a larger area, or a longer line")
+        finding += f", with {contribution:.0%} of the mean square slope"
+    if share > TAIL_LIMIT:
+        return Judgement("Extrapolated slopes", finding, "warn", "Measure a larger area, or a longer line")
+    if contribution > TAIL_CONTRIBUTION_LIMIT:
+        advice = "Look for spikes and scratches in the scan; measure a larger area, or a longer line"
+        return Judgement("Extrapolated slopes", finding, "warn", advice)
+    return Judgement("Extrapolated slopes", finding, "pass")
 
 
 def _masking(datasets: Datasets) -> Judgement | None:
