@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import samples
@@ -14,6 +16,7 @@ from brdfpipe.bsdf.microfacet import energy
 from brdfpipe.bsdf.microfacet.microsurface import Microsurface
 from brdfpipe.bsdf.registry import representation
 from brdfpipe.geometry import Array
+from brdfpipe.masking.visibility import VisibilityRatio
 
 ONE, NONE = np.ones(1), np.zeros(1)
 
@@ -54,6 +57,23 @@ def test_the_table_is_an_upper_bound_of_the_integral(a, n, k):
     # The integral itself has a noise of a few 1e-9 where its panels open and close.
     assert excess.min() >= -1e-8
     assert excess.max() <= 1e-6
+
+
+@pytest.mark.parametrize("a", [0.05, pytest.param(0.3, marks=pytest.mark.slow)])
+def test_the_table_with_traced_visibility_is_an_upper_bound_too(a):
+    ratio = 0.8 + 0.2 * np.random.default_rng(4).random((17, 12, 6))
+    ratio = VisibilityRatio.of(samples.visibility_table(ratio))
+    surface = replace(Microsurface.of(facets.analytic("beckmann", a)), ratio=ratio)
+
+    def albedo(theta, phi):
+        return energy.directional_albedo(surface, "measured", 1.5 * ONE, NONE, theta, phi)
+
+    table = energy.tabulated(surface, albedo, np.array([8.0]))
+    theta = np.concatenate([np.linspace(0, 90, 91), 90 - np.geomspace(1e-4, 10, 60)])
+    excess = table(theta) - albedo(theta, 0 * theta)
+    # The ratio is linear between its nodes: at its kinks the integral has a noise of 1e-5.
+    assert excess.min() >= -1e-5
+    assert excess.max() <= 1e-4
 
 
 def test_dispersion_needs_few_nodes_and_is_exact_to_a_billionth():

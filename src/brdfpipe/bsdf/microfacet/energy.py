@@ -30,6 +30,7 @@ _WINDOW_PANELS = 8  # panels of the tilts that mirror light upwards
 _INDEX_DIGITS = np.log(1e10)  # accuracy of the interpolation over the index
 _LEAST_COSINE = 1e-150  # avoids division by 0 at the horizon
 _INTERPOLATION_ERROR = 2e-9  # of the albedo between the nodes of its table
+_TRACED_ERROR = 1e-6  # the same with traced visibility, whose table has kinks that the quadrature resolves no better
 _NOISE = 1e-9  # of the quadrature, by which the table is raised in any case
 _MOST_NODES = 400  # of an isotropic table
 _LAY_STEP = 0.2  # between nodes θ of a table with a lay, in scaled angles from grazing
@@ -294,11 +295,12 @@ def _sum(first: PPoly, second: PPoly) -> PPoly:
 def tabulated(surface: Microsurface, albedo: Callable[[Array, Array], Array], exact: Array) -> AlbedoTable:
     """Table of a directional albedo, (θ, φ) in degree → (n, wavelength), with ``exact`` among its nodes θ.
 
-    It is an upper bound: between the nodes the spline deviates by up to 1e-9 in both directions, and the table is raised by the largest
+    It is an upper bound: between the nodes the spline deviates in both directions (by up to 2e-9; with traced visibility 1e-6), and the table is raised by the largest
     deviation. Facets, and the base that the rest of the light enters, together then conserve energy.
     """
     if surface.isotropic:
-        return refined(lambda theta: albedo(theta, np.zeros_like(theta)), surface.typical_slope, exact)
+        error = _INTERPOLATION_ERROR if surface.ratio is None else _TRACED_ERROR
+        return refined(lambda theta: albedo(theta, np.zeros_like(theta)), surface.typical_slope, exact, error)
     assert not isinstance(surface.density, RadialDensity)
     return _tabulated_lay(surface.density, albedo, exact)
 
@@ -347,7 +349,9 @@ def _lift(theta: Array, error: Array) -> Array:
     return np.asarray(4 * np.max(error * np.minimum(1.0, grazing / grazing[:, None]), axis=1) + _NOISE)
 
 
-def refined(albedo: Callable[[Array], Array], slope: float, exact: Array) -> AlbedoTable:
+def refined(
+    albedo: Callable[[Array], Array], slope: float, exact: Array, accepted: float = _INTERPOLATION_ERROR
+) -> AlbedoTable:
     """The same for an isotropic albedo that varies on the angle ``slope`` [rad] near grazing; intervals are halved until it is accurate."""
     theta = np.degrees(np.arccos(np.cos(np.linspace(0, np.pi / 2, 48)) ** 2))
     # Near grazing masking dominates: E varies on the scale of the slopes.
@@ -358,7 +362,7 @@ def refined(albedo: Callable[[Array], Array], slope: float, exact: Array) -> Alb
         middle = (nodes[1:] + nodes[:-1])[pending] / 2
         expected = albedo(middle)
         miss = np.abs(_even_spline(90 - nodes[::-1], values[::-1])(90 - middle) - expected).max(axis=1)
-        accurate = (miss <= _INTERPOLATION_ERROR) | (nodes.size >= _MOST_NODES)
+        accurate = (miss <= accepted) | (nodes.size >= _MOST_NODES)
         final = np.where(accurate, miss, 0.0)
         for neighbour in (pending, pending + 1):
             np.maximum.at(error, neighbour, final)
