@@ -14,7 +14,7 @@ import numpy as np
 import xarray as xr
 
 from brdfpipe.bsdf.microfacet.energy import AlbedoTable
-from brdfpipe.bsdf.spectral import at_wavelengths
+from brdfpipe.bsdf.spectral import spectral_values
 from brdfpipe.facets.planar_density import Ellipse
 from brdfpipe.geometry import Array, as_numbers
 
@@ -35,15 +35,11 @@ class CoupledBase(NamedTuple):
     @classmethod
     def of(cls, bsdf: xr.Dataset, wavelength: Array | None) -> CoupledBase:
         """From ``directional_albedo``, ``mean_albedo`` and ``diffuse`` of a ``bsdf`` dataset."""
-
-        def spectral(name: str) -> Array:
-            values = at_wavelengths(bsdf[name], wavelength)
-            return values if "wavelength" in bsdf[name].dims else values[..., None]
-
-        lay = "phi_i" in bsdf["directional_albedo"].dims
+        lay = "phi_i" in bsdf.variables["directional_albedo"].dims
         around = (bsdf["phi_i"].values, ellipse_of(bsdf)) if lay else (None, None)
-        table = AlbedoTable(bsdf["theta_i"].values, spectral("directional_albedo"), *around)
-        return cls(table, spectral("mean_albedo"), spectral("diffuse"))
+        names = ("directional_albedo", "mean_albedo", "diffuse")
+        albedo, mean_albedo, diffuse = (spectral_values(bsdf, name, wavelength) for name in names)
+        return cls(AlbedoTable(bsdf.variables["theta_i"].values, albedo, *around), mean_albedo, diffuse)
 
     def brdf(self, theta_i: Array, theta_o: Array, phi_i: Array | float = 0.0, phi_o: Array | float = 0.0) -> Array:
         """Of the light from the base [sr-1], (directions…, wavelength); both directions above the surface, azimuths for one with a lay."""

@@ -36,6 +36,16 @@ def at_wavelengths(field: xr.DataArray, wavelength: Array | None) -> Array:
     return np.asarray(values[..., above - 1] * (1 - fraction) + values[..., above] * fraction)
 
 
+def spectral_values(bsdf: xr.Dataset, name: str, wavelength: Array | None) -> Array:
+    """Values of a variable, as :func:`at_wavelengths`, (…, W); (…, 1) if it does not depend on wavelength."""
+    variable = bsdf.variables[name]  # takes a fraction of the time of an array with coordinates
+    if "wavelength" not in variable.dims:
+        return np.asarray(variable.values, dtype=float)[..., None]
+    if wavelength is None and variable.dims[-1] == "wavelength":
+        return np.asarray(variable.values, dtype=float)
+    return at_wavelengths(bsdf[name], wavelength)
+
+
 def per_wavelength(prepare: Callable[[Array | None], State]) -> Callable[[Array | None], State]:
     """Cache ``prepare`` for the last few sets of wavelengths (None for those of the dataset)."""
 

@@ -16,7 +16,7 @@ from brdfpipe.bsdf.microfacet import energy, polarised, transmission
 from brdfpipe.bsdf.microfacet.energy import AlbedoTable, directional_albedo
 from brdfpipe.bsdf.microfacet.microsurface import Microsurface
 from brdfpipe.bsdf.microfacet.second_reflection import SecondReflection, second_reflection, with_second_reflection
-from brdfpipe.bsdf.spectral import at_wavelengths
+from brdfpipe.bsdf.spectral import spectral_values
 from brdfpipe.facets.facet_dataset import radial_average
 from brdfpipe.facets.planar_density import Ellipse
 from brdfpipe.facets.radial_density import RadialDensity
@@ -73,11 +73,10 @@ class Model:
         """
 
         def spectral(name: str) -> Array:
-            values = at_wavelengths(bsdf[name], wavelength)
-            return values if "wavelength" in bsdf[name].dims else values[..., None]
+            return spectral_values(bsdf, name, wavelength)
 
-        theta = bsdf["theta_i"].values
-        phi = bsdf["phi_i"].values if "phi_i" in bsdf["directional_albedo"].dims else None
+        theta = bsdf.variables["theta_i"].values
+        phi = bsdf["phi_i"].values if "phi_i" in bsdf.variables["directional_albedo"].dims else None
         ellipse = None if phi is None else Ellipse.of(bsdf)
         furnace = bsdf.get("furnace_albedo")
         if surface is None and "slope_density" in bsdf:

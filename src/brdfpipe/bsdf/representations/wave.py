@@ -14,7 +14,7 @@ from brdfpipe.bsdf.coupled_base import CoupledBase
 from brdfpipe.bsdf.microfacet.energy import AlbedoTable
 from brdfpipe.bsdf.microfacet.microsurface import NOT_PHYSICAL, Microsurface
 from brdfpipe.bsdf.representations.microfacet import Microfacet
-from brdfpipe.bsdf.spectral import at_wavelengths, per_wavelength
+from brdfpipe.bsdf.spectral import at_wavelengths, per_wavelength, spectral_values
 from brdfpipe.bsdf.wave.two_scale import Angles, RoughSurface
 from brdfpipe.facets.planar_density import Ellipse
 from brdfpipe.geometry import Array, as_numbers
@@ -102,16 +102,14 @@ class Wave(Representation):
     def _at(self, wavelength: Array | None) -> _Spectral:
         bsdf = self.dataset
 
-        excess = at_wavelengths(bsdf["coherent_excess"], wavelength)
-        excess = excess if "wavelength" in bsdf["coherent_excess"].dims else excess[..., None]
-        fields = CoupledBase.of(bsdf, wavelength), AlbedoTable(bsdf["theta_i"].values, excess)
+        excess = spectral_values(bsdf, "coherent_excess", wavelength)
+        fields = CoupledBase.of(bsdf, wavelength), AlbedoTable(bsdf.variables["theta_i"].values, excess)
         if "mixture" in bsdf:
-            wavelength, n, k, mixture = (bsdf[name].values for name in ("mixed_wavelength", "n", "k", "mixture"))
+            wavelength, n, k, mixture = (bsdf.variables[name].values for name in ("mixed_wavelength", "n", "k", "mixture"))
             return _Spectral(wavelength, n, k, *fields, mixture)
         used = bsdf["wavelength"].values if wavelength is None else np.asarray(wavelength, dtype=float)
-        return _Spectral(
-            used, at_wavelengths(bsdf["n"], wavelength), at_wavelengths(bsdf["k"], wavelength), *fields, None
-        )
+        n, k = (spectral_values(bsdf, name, wavelength) for name in ("n", "k"))
+        return _Spectral(used, n, k, *fields, None)
 
     def evaluate(self, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array, wavelength: Array | None) -> Array:
         one = as_numbers(theta_i, phi_i, theta_o, phi_o)
@@ -170,7 +168,7 @@ class Wave(Representation):
 
     @property
     def isotropic(self) -> bool:
-        return "phi_i" not in self.dataset["directional_albedo"].dims and "halo_azimuth" not in self.dataset.dims
+        return "phi_i" not in self.dataset.variables["directional_albedo"].dims and "halo_azimuth" not in self.dataset.dims
 
     @property
     def mirror_symmetric(self) -> bool:
