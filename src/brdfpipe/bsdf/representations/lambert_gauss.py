@@ -46,20 +46,36 @@ class LambertGauss(Representation):
     )
 
     def evaluate(self, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array, wavelength: Array | None) -> Array:
-        theta, lambert, lobe_parameters = self._fields
-        if "wavelength" in lambert.dims:
-            base = lambert.values
-            if wavelength is not None:
-                base = np.interp(wavelength, self.dataset["wavelength"].values, base)
-            diffuse = np.broadcast_to(base / np.pi, (*theta_i.shape, base.size))
-        else:
-            base = np.interp(theta_i, theta, np.broadcast_to(lambert.values, theta.shape))
-            diffuse = base[..., None] / np.pi
-        peak, parallel, perpendicular = (np.interp(theta_i, theta, values) for values in lobe_parameters)
-        along, across = about_mirror(theta_i, theta_o, phi_o - phi_i)
-        lobe = gaussian(along, across, peak, parallel / FWHM, perpendicular / FWHM)
-        above = (theta_i < 90) & (theta_o < 90)
-        return np.where(above[..., None], diffuse + lobe[..., None], 0.0)
+        above, brdf = (theta_i < 90) & (theta_o < 90), self._diffuse(theta_i, wavelength) / np.pi
+        if self._has_lobe:
+            theta, _, lobe_parameters = self._fields
+            peak, parallel, perpendicular = (np.interp(theta_i, theta, values) for values in lobe_parameters)
+            along, across = about_mirror(theta_i, theta_o, phi_o - phi_i)
+            brdf = brdf + gaussian(along, across, peak, parallel / FWHM, perpendicular / FWHM)[..., None]
+        return np.where(above[..., None], brdf, 0.0)
+
+    def _diffuse(self, theta_i: Array, wavelength: Array | None) -> Array:
+        """Reflectance of the Lambertian part, (incidences…, wavelength or 1)."""
+        theta, lambert, _ = self._fields
+        if "wavelength" not in lambert.dims:
+            return np.interp(theta_i, theta, np.broadcast_to(lambert.values, theta.shape))[..., None]
+        base = lambert.values
+        if wavelength is not None:
+            base = np.interp(wavelength, self.dataset["wavelength"].values, base)
+        return np.broadcast_to(base, (*theta_i.shape, base.size))
+
+    def albedo(self, theta_i: Array, phi_i: Array, wavelength: Array | None) -> Array:
+        if self._has_lobe:
+            return super().albedo(theta_i, phi_i, wavelength)
+        return np.where((theta_i < 90)[..., None], self._diffuse(theta_i, wavelength), 0.0)
+
+    @property
+    def albedo_needs_quadrature(self) -> bool:
+        return self._has_lobe
+
+    @property
+    def _has_lobe(self) -> bool:
+        return bool(self._fields[2][0].any())
 
     @cached_property
     def _fields(self) -> tuple[Array, xr.Variable, list[Array]]:

@@ -292,7 +292,7 @@ def png(pixels: NDArray[np.uint8], palette: NDArray[np.uint8] | None = None, *, 
     if palette is not None:
         picture.putpalette(palette.astype(np.uint8).tobytes())
     transparency = {} if clear is None else {"transparency": clear}
-    return data_uri(picture, "png", optimize=False, compress_level=9, **transparency)
+    return data_uri(picture, "png", **transparency)
 
 
 def data_uri(picture: Any, format: Literal["png", "webp"], **options: Any) -> str:
