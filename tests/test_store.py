@@ -114,16 +114,51 @@ def test_a_truncated_file_is_named_with_the_way_to_mend_it(tmp_path, keep):
     assert str(refusal.value).count(str(tmp_path)) == 1
 
 
-def test_a_zeroed_block_is_an_error_and_not_zeros(tmp_path):
-    path = tmp_path / "a.nc"
-    surface = samples.gaussian_surface(128)
-    save(surface, path)
+@pytest.fixture
+def zeroed(tmp_path):
+    """A file with zeros in the middle, where the heights of a surface are."""
+    path = tmp_path / "zeroed.nc"
+    save(samples.gaussian_surface(128), path)
     content = bytearray(path.read_bytes())
     middle = len(content) // 2
     content[middle : middle + 4096] = bytes(4096)
     path.write_bytes(bytes(content))
+    return path
+
+
+def test_a_zeroed_block_is_an_error_and_not_zeros(zeroed):
     with pytest.raises(store.StoreError, match="damaged"):
-        brdfpipe.open_dataset(path)
+        brdfpipe.open_dataset(zeroed)
+
+
+def test_opened_datasets_are_read_where_they_are_used(tmp_path, zeroed):
+    whole = tmp_path / "whole.nc"
+    save(samples.spectrum(0.5), whole)
+    with store.opened({"grey": whole, "surface": zeroed}) as datasets:
+        assert (datasets["grey"]["total_reflectance"].values == 0.5).all()
+        assert datasets["surface"].attrs["kind"] == "surface"
+    with (
+        pytest.raises(store.StoreError, match=r"zeroed\.nc: damaged"),
+        store.opened({"grey": whole, "surface": zeroed}) as datasets,
+    ):
+        datasets["surface"]["height"].sum()
+
+
+def test_an_error_of_another_cause_is_not_that_of_an_opened_file(tmp_path):
+    path = tmp_path / "a.nc"
+    save(samples.spectrum(), path)
+    with pytest.raises(ValueError, match="unlucky"), store.opened({"grey": path}):
+        raise ValueError("unlucky")
+
+
+@pytest.mark.parametrize("keep", [None, 0, 100])
+def test_a_missing_or_truncated_file_cannot_be_opened(tmp_path, keep):
+    path = tmp_path / "a.nc"
+    if keep is not None:
+        save(samples.spectrum(), path)
+        path.write_bytes(path.read_bytes()[:keep])
+    with pytest.raises(store.StoreError, match="brdfpipe build"), store.opened({"grey": path}):
+        pass
 
 
 def test_the_refusal_of_a_missing_dataset_names_the_command_that_makes_it(tmp_path):

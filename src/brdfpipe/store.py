@@ -11,7 +11,7 @@ import json
 import os
 import shutil
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
@@ -59,6 +59,25 @@ def open_dataset(path: str | os.PathLike[str], kind: str | None = None) -> xr.Da
         ) from error
     kind = kind or dataset.attrs.get("kind")
     return vocabulary.validate(dataset, kind, str(path)) if kind else dataset
+
+
+@contextmanager
+def opened(paths: Mapping[str, str | os.PathLike[str]]) -> Iterator[dict[str, xr.Dataset]]:
+    """Stored datasets by name, of which a variable is read when it is used, inside the block. Their kinds are not checked.
+
+    A copy of such a dataset reads its variables once more: ``load`` one from which others are made.
+
+    Raises
+    ------
+    StoreError : a file is missing, truncated or not a netCDF file, or a variable that is used is damaged.
+    """
+    with ExitStack() as files:
+        try:
+            yield {name: files.enter_context(xr.open_dataset(path, engine="netcdf4")) for name, path in paths.items()}
+        except (OSError, RuntimeError, ValueError):
+            for path in paths.values():
+                open_dataset(path)  # says which one is damaged, if any is
+            raise
 
 
 def save_dataset(

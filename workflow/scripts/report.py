@@ -1,17 +1,13 @@
-from pathlib import Path
-
 from brdfpipe import store
+from brdfpipe.report import reading
 from brdfpipe.report.material.page import material_page
 
 
 def main(input, output, params):
     """The page of a material."""
-    datasets = {}
-    for stage, files in input.items():
-        paths = {stage: files} if isinstance(files, str) else {Path(path).stem: path for path in files}
-        datasets |= {name: store.open_dataset(path) for name, path in paths.items()}
     spec = params["spec"]
-    page = material_page(datasets, description=spec["description"], exports=spec["exports"])
+    with reading.opened(dict(input.items()), evaluated=("bsdf", "predicted", "sheet")) as datasets:
+        page = material_page(datasets, description=spec["description"], exports=spec["exports"])
     store.write_text(output["page"], page)
 
 

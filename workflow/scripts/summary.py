@@ -1,24 +1,20 @@
-from pathlib import Path
-
 from brdfpipe import store
+from brdfpipe.report import reading
 from brdfpipe.report.catalogue.rows import summarise
 
 
 def main(input, output, params):
     """The row of a material in the catalogue."""
-    datasets = {}
-    for stage, files in input.items():
-        paths = {stage: files} if isinstance(files, str) else {Path(path).stem: path for path in files}
-        datasets |= {name: store.open_dataset(path) for name, path in paths.items()}
     spec = params["spec"]
-    store.save_dataset(
-        summarise(datasets, description=spec["description"]),
-        output["summary"],
-        stage="summary",
-        material=params["material"],
-        inputs=datasets,
-        parameters=spec,
-    )
+    with reading.opened(dict(input.items())) as datasets:
+        store.save_dataset(
+            summarise(datasets, description=spec["description"]),
+            output["summary"],
+            stage="summary",
+            material=params["material"],
+            inputs=datasets,
+            parameters=spec,
+        )
 
 
 if __name__ == "__main__":

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cached_property
 
 import numpy as np
 import xarray as xr
@@ -29,8 +30,12 @@ class Interface(Representation):
 
     def __init__(self, dataset: xr.Dataset) -> None:
         super().__init__(dataset)
-        self.surface = surface = Microsurface.of(dataset) if "slope_density" in dataset else None
-        self._model = per_wavelength(lambda wavelength: Model.of(dataset, wavelength, surface))
+        self._model = per_wavelength(lambda wavelength: Model.of(dataset, wavelength, self.surface))
+
+    @cached_property
+    def surface(self) -> Microsurface | None:
+        """The facets; None of a perfectly smooth interface."""
+        return Microsurface.of(self.dataset) if "slope_density" in self.dataset else None
 
     def evaluate(self, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array, wavelength: Array | None) -> Array:
         return self._model(wavelength).evaluate(theta_i, phi_i, theta_o, phi_o)

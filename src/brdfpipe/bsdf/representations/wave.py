@@ -95,9 +95,12 @@ class Wave(Representation):
 
     def __init__(self, dataset: xr.Dataset) -> None:
         super().__init__(dataset)
-        self._surface = RoughSurface.of(dataset)
         self._spectral = per_wavelength(self._at)
         self._reflectance = per_wavelength(lambda wavelength: reflectance_of(*self._spectral(wavelength)[1:3]))
+
+    @cached_property
+    def _surface(self) -> RoughSurface:
+        return RoughSurface.of(self.dataset)
 
     def _at(self, wavelength: Array | None) -> _Spectral:
         bsdf = self.dataset
@@ -105,7 +108,9 @@ class Wave(Representation):
         excess = spectral_values(bsdf, "coherent_excess", wavelength)
         fields = CoupledBase.of(bsdf, wavelength), AlbedoTable(bsdf.variables["theta_i"].values, excess)
         if "mixture" in bsdf:
-            wavelength, n, k, mixture = (bsdf.variables[name].values for name in ("mixed_wavelength", "n", "k", "mixture"))
+            wavelength, n, k, mixture = (
+                bsdf.variables[name].values for name in ("mixed_wavelength", "n", "k", "mixture")
+            )
             return _Spectral(wavelength, n, k, *fields, mixture)
         used = bsdf["wavelength"].values if wavelength is None else np.asarray(wavelength, dtype=float)
         n, k = (spectral_values(bsdf, name, wavelength) for name in ("n", "k"))
@@ -168,7 +173,9 @@ class Wave(Representation):
 
     @property
     def isotropic(self) -> bool:
-        return "phi_i" not in self.dataset.variables["directional_albedo"].dims and "halo_azimuth" not in self.dataset.dims
+        return (
+            "phi_i" not in self.dataset.variables["directional_albedo"].dims and "halo_azimuth" not in self.dataset.dims
+        )
 
     @property
     def mirror_symmetric(self) -> bool:
