@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import cached_property
+from functools import cache
 
 import numpy as np
 import xarray as xr
@@ -30,12 +30,15 @@ class Interface(Representation):
 
     def __init__(self, dataset: xr.Dataset) -> None:
         super().__init__(dataset)
-        self._model = per_wavelength(lambda wavelength: Model.of(dataset, wavelength, self.surface))
+        # Functions of the dataset, not of this object, which would keep itself alive.
+        surface = cache(lambda: Microsurface.of(dataset) if "slope_density" in dataset else None)
+        self._surface = surface
+        self._model = per_wavelength(lambda wavelength: Model.of(dataset, wavelength, surface()))
 
-    @cached_property
+    @property
     def surface(self) -> Microsurface | None:
         """The facets; None of a perfectly smooth interface."""
-        return Microsurface.of(self.dataset) if "slope_density" in self.dataset else None
+        return self._surface()
 
     def evaluate(self, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array, wavelength: Array | None) -> Array:
         return self._model(wavelength).evaluate(theta_i, phi_i, theta_o, phi_o)
