@@ -18,6 +18,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from brdfpipe import vocabulary
+from brdfpipe.bsdf.base import Representation
 from brdfpipe.bsdf.nonspectral import nonspectral
 from brdfpipe.bsdf.registry import representation
 from brdfpipe.bsdf.source_changes import Reflector
@@ -175,20 +176,53 @@ def received(sample: Sample, beams: Sequence[Beam], azimuths: Array, reflector: 
 
     ``reflector`` is evaluated instead of the BSDF of the sample, which gives the nodes of the quadrature.
     """
-    nodes = [window_nodes(beam, sample.lobe) for beam in beams]
-    angles = zip(*(node.directions for node in nodes), strict=True)
-    theta_i, phi_i, theta_o, phi_o = map(np.concatenate, angles)
-    evaluate = (representation(sample.bsdf) if reflector is None else reflector).evaluate
-    flux: list[list[Array]] = [[] for _ in beams]
-    # One evaluation for many azimuths: a representation may work hard before it evaluates its first direction.
-    blocks = min(azimuths.size, -(-azimuths.size * theta_i.size // _MOST_EVALUATIONS))
-    for turn in np.array_split(azimuths, max(blocks, 1)):
-        turned = np.broadcast_arrays(theta_i, phi_i + turn[:, None], theta_o, phi_o + 180 + turn[:, None])
-        brdf = evaluate(turned[0], turned[1], turned[2], turned[3], None)[..., 0]
-        parts = np.split(brdf, np.cumsum([node.weight.size for node in nodes])[:-1], axis=1)
-        for sums, node, part, beam in zip(flux, nodes, parts, beams, strict=True):
-            sums.append(_sums_by_point(node.weight * part, node.source_point, beam.light.u.size))
-    return [np.concatenate(sums) for sums in flux]
+    return Receptors.of(sample, beams).received(azimuths, reflector)
+
+
+class Receptors(NamedTuple):
+    """The quadrature of the light that a sample sends into windows; the same for all its BSDFs that are compared."""
+
+    given: Representation
+    """The BSDF of the sample"""
+    nodes: list[WindowNodes]
+    """Of each beam, for the points of its source that are evaluated"""
+    number: list[NDArray[np.intp]]
+    """Of the point that is evaluated for each point of the source"""
+
+    @classmethod
+    def of(cls, sample: Sample, beams: Sequence[Beam]) -> Receptors:
+        given = representation(sample.bsdf)
+        reduced = [_on_one_side(beam, given.mirror_symmetric) for beam in beams]
+        return cls(given, [window_nodes(beam, sample.lobe) for beam, _ in reduced], [number for _, number in reduced])
+
+    def received(self, azimuths: Array, reflector: Reflector | None = None) -> list[Array]:
+        """As :func:`received`."""
+        angles = zip(*(node.directions for node in self.nodes), strict=True)
+        theta_i, phi_i, theta_o, phi_o = map(np.concatenate, angles)
+        evaluate = (self.given if reflector is None else reflector).evaluate
+        flux: list[list[Array]] = [[] for _ in self.nodes]
+        # One evaluation for many azimuths: a representation may work hard before it evaluates its first direction.
+        blocks = min(azimuths.size, -(-azimuths.size * theta_i.size // _MOST_EVALUATIONS))
+        for turn in np.array_split(azimuths, max(blocks, 1)):
+            turned = np.broadcast_arrays(theta_i, phi_i + turn[:, None], theta_o, phi_o + 180 + turn[:, None])
+            brdf = evaluate(turned[0], turned[1], turned[2], turned[3], None)[..., 0]
+            parts = np.split(brdf, np.cumsum([node.weight.size for node in self.nodes])[:-1], axis=1)
+            for sums, node, part, number in zip(flux, self.nodes, parts, self.number, strict=True):
+                sums.append(_sums_by_point(node.weight * part, node.source_point, int(number.max()) + 1)[:, number])
+        return [np.concatenate(sums) for sums in flux]
+
+
+def _on_one_side(beam: Beam, symmetric: bool) -> tuple[Beam, NDArray[np.intp]]:
+    """A beam without the points of its source that receive as much as another, and the number of the point left for each.
+
+    Those are mirror images in the plane of incidence, if BSDF and window are symmetric about it.
+    """
+    light, window = beam.light, beam.window
+    if not symmetric or window.low_v != -window.high_v:
+        return beam, np.arange(light.u.size)
+    place = np.round(np.stack([light.u, np.abs(light.v)]), 12)
+    _, kept, number = np.unique(place, axis=1, return_index=True, return_inverse=True)
+    return beam._replace(light=Source(*(part[kept] for part in light))), number.reshape(-1)
 
 
 def _sums_by_point(values: Array, point: NDArray[np.intp], points: int) -> Array:

@@ -88,7 +88,8 @@ def colour(
     several angles of illumination and of view for E2539, and the sign of the aspecular angle, positive towards the normal; that
     the three are 15, 45 and 110° is the trade's use.
     """
-    vocabulary.validate(bsdf, "bsdf")
+    if reflector is None:
+        vocabulary.validate(bsdf, "bsdf")
     if total is None:
         total = total_reflectance(bsdf, reflector)[1]
     wavelength, directions = _wavelengths(bsdf), _directions(geometries)

@@ -154,10 +154,21 @@ def _gloss(sample: Sample, angle: float) -> tuple[Array, Array]:
 
 def gloss_at(sample: Sample, angle: float, azimuths: Array, rule: Rule, reflector: Reflector | None = None) -> Array:
     """Gloss units at azimuths of the plane of incidence [degree], (azimuths,); of the sample, or of a ``reflector`` in its place."""
-    light = apertures.source(angle, rule)
-    beams = [Beam(angle, light, centred(*RECEPTOR[angle]), rule.window)]
-    (scattered,) = apertures.received(sample, beams, azimuths, reflector)
-    return apertures.gloss_units_of(light, _mirrored(sample, light, azimuths, reflector) + scattered)
+    beam = beam_of(angle, rule)
+    (scattered,) = apertures.received(sample, [beam], azimuths, reflector)
+    return gloss_of(sample, beam, scattered, azimuths, reflector)
+
+
+def beam_of(angle: float, rule: Rule) -> Beam:
+    """From the source into the receptor of a geometry [degree]."""
+    return Beam(angle, apertures.source(angle, rule), centred(*RECEPTOR[angle]), rule.window)
+
+
+def gloss_of(
+    sample: Sample, beam: Beam, scattered: Array, azimuths: Array, reflector: Reflector | None = None
+) -> Array:
+    """Gloss units at azimuths, from the scattered light that its receptor has received (:func:`.apertures.received`)."""
+    return apertures.gloss_units_of(beam.light, _mirrored(sample, beam.light, azimuths, reflector) + scattered)
 
 
 def _mirrored(sample: Sample, light: Source, azimuths: Array, reflector: Reflector | None = None) -> Array:

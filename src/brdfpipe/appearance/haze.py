@@ -151,10 +151,20 @@ def haze_units(
     sample: Sample, window: HazeWindow, azimuths: Array, rule: Rule, reflector: Reflector | None = None
 ) -> Array:
     """Haze at azimuths of the plane of incidence [degree], (azimuths,); of the sample, or of a ``reflector`` in its place."""
+    beams = beams_of(window, rule)
+    return haze_of(beams, apertures.received(sample, beams, azimuths, reflector))
+
+
+def beams_of(window: HazeWindow, rule: Rule) -> list[Beam]:
+    """From the source into the windows on both sides."""
     light = apertures.source(window.angle, rule)
-    beams = [Beam(window.angle, light, _rectangle(window, side), rule.window) for side in _SIDES]
-    fluxes = apertures.received(sample, beams, azimuths, reflector)
-    return np.asarray(np.sum([apertures.gloss_units_of(light, flux) for flux in fluxes], axis=0))
+    return [Beam(window.angle, light, _rectangle(window, side), rule.window) for side in _SIDES]
+
+
+def haze_of(beams: Sequence[Beam], scattered: Sequence[Array]) -> Array:
+    """Haze at azimuths, from the light that the windows on both sides have received (:func:`.apertures.received`)."""
+    units = [apertures.gloss_units_of(beam.light, flux) for beam, flux in zip(beams, scattered, strict=True)]
+    return np.asarray(np.sum(units, axis=0))
 
 
 def _rectangle(window: HazeWindow, side: int, shift: float = 0.0) -> Window:

@@ -8,6 +8,7 @@ and between wavelengths.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import chain
 
 import numpy as np
 import xarray as xr
@@ -16,8 +17,8 @@ from brdfpipe import vocabulary
 from brdfpipe.appearance import apertures
 from brdfpipe.appearance.apertures import Rule
 from brdfpipe.appearance.colours import FLOP_GEOMETRIES, TOTAL, colour, flop_index, total_reflectance
-from brdfpipe.appearance.gloss_meter import gloss_at
-from brdfpipe.appearance.haze import HazeWindow, haze_units
+from brdfpipe.appearance.gloss_meter import beam_of, gloss_of
+from brdfpipe.appearance.haze import HazeWindow, beams_of, haze_of
 from brdfpipe.appearance.transmission import luminous_transmittance, transmission_haze
 from brdfpipe.bsdf.change_variables import MODEL, NOT_STATED
 from brdfpipe.bsdf.nonspectral import nonspectral
@@ -130,19 +131,22 @@ def _meter_parts(
     azimuths = np.asarray(np.zeros(1) if isotropic else (representation(sample.bsdf).lay or 0.0) + _TURNS, dtype=float)
     angles = appearance["gloss_angle"].values.tolist() if "gloss" in appearance else []
 
+    of_gloss, of_windows = [beam_of(angle, _RULE) for angle in angles], [beams_of(window, _RULE) for window in windows]
+    receptors = apertures.Receptors.of(sample, [*of_gloss, *chain.from_iterable(of_windows)])
+
     def measured(reflector: Reflector) -> Array:
-        gloss = [gloss_at(sample, angle, azimuths, _RULE, reflector).mean() for angle in angles]
-        beside = [haze_units(sample, window, azimuths, _RULE, reflector).mean() for window in windows]
+        light = iter(receptors.received(azimuths, reflector))
+        gloss = [gloss_of(sample, beam, next(light), azimuths, reflector).mean() for beam in of_gloss]
+        beside = [haze_of(beams, [next(light) for _ in beams]).mean() for beams in of_windows]
         return np.array([*gloss, *beside])
 
     given = measured(changes.given)
     all_changes = np.array([measured(reflector) - given for reflector in changes.changed])
-    of_gloss, of_windows = all_changes[:, : len(angles)], all_changes[:, len(angles) :]
-    parts = {"gloss": changes.by_source(of_gloss)} if angles else {}
+    parts = {"gloss": changes.by_source(all_changes[:, : len(angles)])} if angles else {}
     if windows:
-        parts["reflectance_haze"] = changes.by_source(of_windows)
+        parts["reflectance_haze"] = changes.by_source(all_changes[:, len(angles) :])
     if {20.0, 60.0} <= set(angles):
-        parts["haze"] = changes.by_source(of_gloss[:, angles.index(60.0)] - of_gloss[:, angles.index(20.0)])
+        parts["haze"] = changes.by_source(all_changes[:, angles.index(60.0)] - all_changes[:, angles.index(20.0)])
     if MODEL in parts.get("gloss", {}) and "model_gloss_error" in bsdf:
         finer = _finer_roughness(sample.bsdf)
         of_finer = (np.zeros(given.size) if finer is None else measured(finer) - given)[: len(angles)]

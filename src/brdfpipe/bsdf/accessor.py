@@ -258,7 +258,7 @@ class BSDFAccessor:
         ----------
         weight : spectral response on the dataset's wavelengths, any scale; by default V(λ) times the illuminant D65 (CIE 015)
         """
-        return nonspectral(self._dataset, weight)
+        return nonspectral(self._dataset, weight).copy()
 
     def nonspectral_error(
         self, weight: ArrayLike | None = None, theta_i: ArrayLike = (8.0, 30.0, 60.0, 80.0)
