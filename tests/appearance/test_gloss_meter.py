@@ -17,6 +17,7 @@ from brdfpipe.appearance.gloss_meter import (
     RECEPTOR_TOLERANCE,
     SOURCE_TOLERANCE,
     GlossError,
+    beam_of,
     gloss_and_haze,
     gloss_with_uncertainty,
 )
@@ -42,6 +43,22 @@ def test_gloss_of_a_white_lambertian_is_the_printed_one():
 def test_gloss_of_black_glass_is_100_at_every_angle(angle):
     # The smoother, the nearer to polished; 1e-4 is smooth to the receptor at every geometry.
     assert float(gloss_units(rough(1e-4, n=1.567), [angle])[0]) == pytest.approx(100, abs=1e-3)
+
+
+@pytest.mark.parametrize("angle", [20.0, 85.0])
+def test_points_on_both_sides_of_the_plane_of_incidence_receive_the_same_light(angle):
+    sample = apertures.sample_of(rough(0.05), None)
+    beam = beam_of(angle, apertures.QUICK)
+    # Not exactly symmetric: every point of the source is evaluated.
+    window = beam.window._replace(low_v=np.nextafter(beam.window.low_v, 0.0))
+    one_side, both_sides = (
+        apertures.received(sample, [beam._replace(window=either)], np.zeros(1))[0] for either in (beam.window, window)
+    )
+    assert one_side == pytest.approx(both_sides, rel=1e-9)
+    nodes = [
+        apertures.Receptors.of(sample, [beam._replace(window=either)]).nodes[0] for either in (beam.window, window)
+    ]
+    assert nodes[0].weight.size < 0.6 * nodes[1].weight.size
 
 
 def test_gloss_of_a_polished_dielectric_is_its_reflectance_over_the_source():

@@ -14,6 +14,7 @@ import xarray as xr
 from numpy.typing import ArrayLike
 from scipy.interpolate import CubicHermiteSpline, CubicSpline
 
+from brdfpipe.content_cache import cached_by_content
 from brdfpipe.geometry import Array
 from brdfpipe.hemisphere import panel_rule
 from brdfpipe.piecewise import PiecewiseCubic
@@ -44,7 +45,7 @@ class RadialDensity:
     @classmethod
     def of(cls, dataset: xr.Dataset) -> RadialDensity:
         """The density of a ``facets`` or microfacet ``bsdf`` dataset."""
-        return cls(dataset["slope"].values.astype(float), dataset["slope_density"].values.astype(float))
+        return _prepared(dataset["slope"].values.astype(float), dataset["slope_density"].values.astype(float))
 
     def __call__(self, slope_squared: ArrayLike) -> Array:
         """P22 at s², of any shape."""
@@ -84,6 +85,12 @@ class RadialDensity:
         """The slope magnitude that half of the facets exceed: a width that exists for every density."""
         s, weight = self.rule()
         return float(np.interp(0.5 * weight.sum(), np.cumsum(weight), s))
+
+
+@cached_by_content(16)
+def _prepared(slope: Array, density: Array) -> RadialDensity:
+    """The same object for the same density, so that its spline and its width are computed once."""
+    return RadialDensity(slope, density)
 
 
 def log_spline(slope_squared: Array, log_density: Array) -> CubicHermiteSpline:

@@ -16,6 +16,7 @@ import xarray as xr
 from numpy.typing import ArrayLike
 from scipy.interpolate import CubicSpline, RectBivariateSpline
 
+from brdfpipe.content_cache import cached_by_content
 from brdfpipe.facets.planar_density import Ellipse
 from brdfpipe.facets.radial_density import RadialDensity
 from brdfpipe.geometry import Array
@@ -81,19 +82,25 @@ class Smith:
     @classmethod
     def of(cls, dataset: xr.Dataset) -> Smith:
         """The masking of a ``facets`` or microfacet ``bsdf`` dataset."""
-        mu = 1 / np.tan(np.radians(dataset["theta"].values[::-1]))
-        excess = dataset["lambda_smith"].values[::-1] * mu
-        # Slopes are symmetric about zero, so g + μ/2 is even in μ: its value at grazing follows from the first three nodes.
-        even = np.linalg.solve(np.vander((mu[:3] / mu[2]) ** 2, increasing=True), excess[:3] + mu[:3] / 2)
-        mu, excess = np.concatenate([[0.0], mu]), np.concatenate([even[:1], excess])
-        # Beyond the steepest facet g vanishes with its derivative.
-        return cls(PiecewiseCubic.of(CubicSpline(mu, excess, bc_type=((1, np.array(-0.5)), (1, np.array(0.0))))))
+        return cls(_excess_spline(dataset["theta"].values, dataset["lambda_smith"].values))
 
     def excess(self, mu: ArrayLike, phi: ArrayLike = 0.0) -> Array:
         """g(μ), of any shape and in any azimuth; μ = inf (normal incidence) gives 0."""
         # At the last node g is zero but for rounding.
         excess = self.spline(np.minimum(np.asarray(mu, dtype=float), self.spline.last))
         return np.maximum(excess, 0.0)
+
+
+@cached_by_content(16)
+def _excess_spline(theta: Array, lambda_smith: Array) -> PiecewiseCubic:
+    """g over μ from a table of Λ over θ [degree]."""
+    mu = 1 / np.tan(np.radians(theta[::-1]))
+    excess = lambda_smith[::-1] * mu
+    # Slopes are symmetric about zero, so g + μ/2 is even in μ: its value at grazing follows from the first three nodes.
+    even = np.linalg.solve(np.vander((mu[:3] / mu[2]) ** 2, increasing=True), excess[:3] + mu[:3] / 2)
+    mu, excess = np.concatenate([[0.0], mu]), np.concatenate([even[:1], excess])
+    # Beyond the steepest facet g vanishes with its derivative.
+    return PiecewiseCubic.of(CubicSpline(mu, excess, bc_type=((1, np.array(-0.5)), (1, np.array(0.0)))))
 
 
 def cotangent(cos: ArrayLike, sin: ArrayLike) -> Array:

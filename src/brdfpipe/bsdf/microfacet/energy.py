@@ -17,6 +17,7 @@ from scipy.interpolate import CubicSpline, PPoly, RectBivariateSpline
 
 from brdfpipe.bsdf.microfacet import anisotropic_quadrature as quadrature
 from brdfpipe.bsdf.microfacet.microsurface import Microsurface
+from brdfpipe.content_cache import cached_by_content
 from brdfpipe.facets.planar_density import Ellipse, PlanarDensity
 from brdfpipe.facets.radial_density import PANELS, RadialDensity
 from brdfpipe.geometry import Array, HalfVector
@@ -258,7 +259,7 @@ class AlbedoTable:
     def spline(self) -> PiecewiseCubic:
         grazing, values = 90 - self.theta[::-1], self.values[::-1]
         if self.second is None:
-            return PiecewiseCubic.of(_even_spline(grazing, values))
+            return _even_piecewise(grazing, values)
         second = self.second()
         return PiecewiseCubic.of(_sum(_even_spline(grazing, values - second(grazing)), second))
 
@@ -278,6 +279,11 @@ class AlbedoTable:
 def lay_scale(ellipse: Ellipse) -> float:
     """Angle from grazing [degree] on which the albedo of a surface with a lay varies."""
     return min(float(np.degrees(min(ellipse.along, ellipse.across))) / _LAY_FINENESS, _LAY_MOST_GRAZING)
+
+
+@cached_by_content(16)
+def _even_piecewise(grazing: Array, values: Array) -> PiecewiseCubic:
+    return PiecewiseCubic.of(_even_spline(grazing, values))
 
 
 def _even_spline(grazing: Array, values: Array) -> CubicSpline:

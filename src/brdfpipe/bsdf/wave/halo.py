@@ -174,17 +174,21 @@ class Halo:
         scale = float(bsdf["frequency_scale"])
         lay = "halo_azimuth" in bsdf.dims
         values = bsdf["log_halo"].values
+        if by_order:
+            spline, first_order = _splines_by_order(values, phase, frequency)
+        else:
+            spline, first_order = _spline(values), None
         return cls(
             float(bsdf["sigma"]),
             str(bsdf.attrs["form"]),
-            _spline(values),
+            spline,
             float(np.log(phase[0])),
             float(np.log(phase[-1] / phase[0])) / (phase.size - 1),
             scale,
             float(np.arcsinh(frequency[-1] / scale)) / (frequency.size - 1),
             _closed_form(bsdf),
             Stretch(float(bsdf["halo_lay"]), float(bsdf["halo_stretch"])) if lay else None,
-            first_order=_first_order_spline(values, phase, frequency) if by_order else None,
+            first_order=first_order,
         )
 
     def phase_variance(self, cosines: Array, wavelength: Array) -> Array:
@@ -286,9 +290,9 @@ class Halo:
 
 
 @cached_by_content(8)
-def _first_order_spline(log_transform: Array, phase: Array, frequency: Array) -> Array:
-    """Coefficients of a spline through the logarithm of :func:`_first_order_share`."""
-    return _spline(np.log(_first_order_share(log_transform, phase, frequency)))
+def _splines_by_order(log_transform: Array, phase: Array, frequency: Array) -> tuple[Array, Array]:
+    """Coefficients of splines through a table, and through the logarithm of :func:`_first_order_share`."""
+    return _spline(log_transform), _spline(np.log(_first_order_share(log_transform, phase, frequency)))
 
 
 def _first_order_share(log_transform: Array, phase: Array, frequency: Array) -> Array:
