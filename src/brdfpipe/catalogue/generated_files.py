@@ -20,6 +20,7 @@ from brdfpipe.rig.plan_keys import PlanKeys
 from brdfpipe.rig.reduction.certificate_keys import CertificateKeys
 from brdfpipe.rig.rig_keys import RigKeys
 from brdfpipe.scenes.glare_keys import GlareKeys
+from brdfpipe.scenes.ladders import LADDERS
 from brdfpipe.scenes.results import RESULTS
 from brdfpipe.scenes.scene import load_scene, shipped_scenes
 from brdfpipe.scenes.scene_keys import AS_MATERIAL, SceneKeys
@@ -151,6 +152,7 @@ def key_tables() -> dict[str, dict[str, str]]:
         "docs/scenes.md": {
             "scenes": _scene_table(),
             "results": _result_table(),
+            "ladders": _ladder_table(),
             "scene": rendering.table(SceneKeys),
         },
     }
@@ -170,6 +172,14 @@ def _scene_table() -> str:
 def _result_table() -> str:
     rows = [f"| `{result.name}` | {result.words} |" for result in RESULTS.values()]
     return "\n".join(["| In `results` | is |", "|---|---|", *rows])
+
+
+def _ladder_table() -> str:
+    rows = ["| Ladder | Rung | Leaves out |", "|---|---|---|"]
+    for name, ladder in LADDERS.items():
+        words = name.replace("_", " ")
+        rows += [f"| {words} | `{rung.name}` | {rung.leaves_out or 'nothing'} |" for rung in ladder]
+    return "\n".join(rows)
 
 
 def _format_table(formats: Mapping[str, FileFormat], title: str) -> str:
