@@ -27,6 +27,7 @@ import xarray as xr
 from pages import renewed
 
 from brdfpipe import store
+from brdfpipe.appearance.validity import SIGNIFICANT
 from brdfpipe.comparison.model_error import model_error
 from brdfpipe.errors import BrdfpipeError
 from brdfpipe.facets.analytic_distributions import analytic
@@ -71,6 +72,8 @@ OPTIONS: Mapping[str, Mapping[str, Any]] = {"glare": {"n": 2048}, "rendering": {
 """Options of metrics where errors are measured."""
 FRESH: Mapping[str, Mapping[str, Any]] = {"glare": {"n": 10_240, "seed": 1}}
 """Options of metrics of directions where the choice is tested: at others, and more of them."""
+FAR_OFF = 3.0
+"""Error over the tolerance from which more directions do not change that a model is not accepted."""
 REPEATS, ENOUGH = 3, 0.8
 """Most builds of a candidate, and the time [s] after which no other one follows."""
 RENDERED = 3
@@ -157,13 +160,13 @@ def measure(
         }
         rows[candidate.key] = row
         for scene in scenes:
-            metric = scene.content["metric"]
+            metric, tolerance = scene.content["metric"], scene.content["tolerance"]
             try:
-                row["errors"][scene.name] = _error(metric, bsdf, fullest, scene, OPTIONS)
-                if metric in FRESH and scene.domain.parts:
+                error = row["errors"][scene.name] = _error(metric, bsdf, fullest, scene, OPTIONS)
+                if metric in FRESH and scene.domain.parts and 0 < error < FAR_OFF * tolerance:
                     row["fresh_errors"][scene.name] = _error(metric, bsdf, fullest, scene, FRESH)
-            except BrdfpipeError as error:
-                row.setdefault("not compared", {})[scene.name] = str(error)
+            except BrdfpipeError as problem:
+                row.setdefault("not compared", {})[scene.name] = str(problem)
     return rows
 
 
@@ -182,15 +185,19 @@ def _error(metric: str, bsdf: xr.Dataset, fullest: xr.Dataset, scene: Scene, opt
 
 
 def gloss_error(inputs: ModelInputs, fullest: xr.Dataset) -> float | None:
-    """Largest error of the gloss of the fullest model against rays or diffraction on the map; None where none of them holds."""
+    """What the gloss of the fullest model errs by at least against rays or diffraction on the map; None where none of them holds.
+
+    The largest error less twice the uncertainty of its reference: a tolerance is refused only where it is shown to be missed.
+    """
     if inputs.surface is None:
         return None
     try:
         found = model_error(inputs.surface, fullest, inputs.facets)
     except BrdfpipeError:
         return None
-    errors = np.abs(found["gloss_error"].where(found["gloss_valid"] > 0)).values
-    return float(np.nanmax(errors)) if np.isfinite(errors).any() else None
+    shown = np.abs(found["gloss_error"]) - SIGNIFICANT * found["gloss_error_u"]
+    errors = shown.where(found["gloss_valid"] > 0).values
+    return max(float(np.nanmax(errors)), 0.0) if np.isfinite(errors).any() else None
 
 
 def measured_material(seed: int, folder: Path) -> Path:

@@ -35,7 +35,7 @@ class Known:
     features: Mapping[str, float]
     trials: Mapping[Candidate, Trial]
     model_error: float | None = None
-    """Error of the fullest candidate against rays or diffraction on the height map, in the unit of the metric; None where unknown"""
+    """What the fullest candidate errs by at least against rays or diffraction on the height map, in the unit of the metric; None where unknown"""
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ class Experience:
         return sorted((pair for pair in found if pair[0] <= radius), key=lambda pair: pair[0])
 
     def model_error(self, features: Mapping[str, float], radius: float, least: int) -> float:
-        """Median error of the fullest model itself on like materials; 0 where it is known of fewer than ``least``."""
+        """Median of what the fullest model itself errs by at least on like materials; 0 where it is known of fewer than ``least``."""
         found = [
             known.model_error
             for known in self.materials

@@ -99,7 +99,7 @@ def plan(
     if best > tolerance:
         raise ToleranceError(
             f"scene {scene!r}: the tolerance {tolerance:g} {unit} of the metric {metric!r} is not achievable: on like materials the fullest model "
-            f"errs by {best:.2g} {unit}; raise `tolerance` to that, or set `model: fullest`"
+            f"errs by at least {best:.2g} {unit}; raise `tolerance` to that, or set `model: fullest`"
         )
     result = plan_dataset(judged, choice, found, scene=scene, metric=metric, unit=unit, tolerance=tolerance)
     return vocabulary.add_history(
