@@ -66,6 +66,7 @@ extremes: $(VENV)/.dev  ## run every stage at the extremes of its inputs; write 
 
 tradeoff: $(VENV)/.dev  ## measure error and cost of every candidate model for every scene (an hour)
 	@$(BIN)/python benchmarks/tradeoff.py
+	@$(BIN)/python benchmarks/pareto_fronts.py
 
 rig-accuracy: $(VENV)/.runtime  ## measure samples of known BSDF with emulated rigs; write docs/rig-accuracy.md (some minutes)
 	@$(BIN)/python benchmarks/rig_accuracy.py

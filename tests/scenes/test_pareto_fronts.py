@@ -1,0 +1,46 @@
+"""Fronts of error against time, and the pages that they are written into."""
+
+from __future__ import annotations
+
+import pytest
+from pages import renewed
+from pareto_fronts import front, record
+
+from brdfpipe.scenes.ladders import FULLEST, Candidate
+from brdfpipe.scenes.scene import load_scene
+
+
+def test_no_model_of_a_front_is_beaten_in_both_error_and_time():
+    points = {
+        "a": (9.0, 0.1),
+        "worse and dearer": (9.5, 0.2),
+        "b": (3.0, 0.5),
+        "as good, dearer": (3.0, 0.6),
+        "c": (0.0, 2.0),
+    }
+    assert front(points) == ["a", "b", "c"]
+
+
+def test_a_dearer_model_without_a_smaller_error_is_not_on_a_front():
+    assert front({"fullest": (0.0, 1.0), "the same, dearer": (0.0, 1.5)}) == ["fullest"]
+    assert front({}) == []
+
+
+def test_the_record_has_relative_times_and_what_is_on_the_front():
+    cheap = Candidate(optics="facets")
+    rows = {
+        candidate.key: {"cost": cost, "relative_time": cost / 2, "bytes": 10, "errors": {"gloss-sheet": error}}
+        for candidate, cost, error in ((cheap, 1.0, 0.5), (FULLEST, 2.0, 0.0))
+    }
+    found = record({"plate": rows}, [load_scene("gloss-sheet")])
+    assert [row["choice"] for row in found] == ["gloss-sheet, plate"] * 2
+    assert [row["relative_time"]["build"] for row in found] == [0.5, 1.0]
+    assert [row["on_front"] for row in found] == [True, True]
+    assert found[0]["errors"]["gloss"] == {"value": 0.5, "negligible": pytest.approx(0.01)}
+
+
+def test_only_the_named_section_of_a_page_is_replaced():
+    page = "a\n<!-- one -->\nold\n<!-- end -->\nb\n<!-- two -->\nkept\n<!-- end -->\n"
+    assert renewed(page, "one", "new \\1") == page.replace("old", "new \\1")
+    with pytest.raises(ValueError, match="three"):
+        renewed(page, "three", "")
