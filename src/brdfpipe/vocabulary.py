@@ -358,6 +358,7 @@ QUANTITIES: Mapping[str, Quantity] = {
         "um2", "minus the logarithm of the coherent share, times the squared wavelength over the cosine", 0
     ),
     "closure_incidence": Quantity("degree", "angle of incidence of the factor of the halo", 0, 90),
+    "closure_arc": Quantity("degree", "arc of half a turn of incidence of the factor of the halo, with a lay", 0, 180),
     "closure_wavelength": Quantity("nm", "wavelength of the factor of the halo", 0),
     "passage_phase": Quantity("1", "phase variance at which half of the light is reflected as by facets", 0),
     "facet_share": Quantity(

@@ -322,8 +322,9 @@ def changes_of_roughness(bsdf: xr.Dataset, psd: xr.Dataset) -> Iterator[tuple[st
 
 
 def _closure_nodes(bsdf: xr.Dataset) -> tuple[Array, Array]:
-    """Cosines of incidence (incidences, 1) and wavelengths [um] of the energy closure."""
-    return np.cos(np.radians(bsdf["closure_incidence"].values))[:, None], bsdf["closure_wavelength"].values * 1e-3
+    """Cosines of incidence (incidences, 1), with a lay (incidences, 1, 1), and wavelengths [um] of the energy closure."""
+    cosine = np.cos(np.radians(bsdf["closure_incidence"].values))
+    return np.expand_dims(cosine, tuple(range(1, bsdf["halo_closure"].ndim))), bsdf["closure_wavelength"].values * 1e-3
 
 
 def _scattered_ratio(exponent: Array, growth: Array | float) -> Array:

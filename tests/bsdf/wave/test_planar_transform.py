@@ -16,8 +16,10 @@ from brdfpipe import appearance, facets, psd, vocabulary
 from brdfpipe.bsdf import wave
 from brdfpipe.bsdf.registry import representation
 from brdfpipe.bsdf.wave import height_transform
+from brdfpipe.bsdf.wave.builder import _directions
 from brdfpipe.bsdf.wave.halo import Stretch
 from brdfpipe.bsdf.wave.planar_transform import spectrum_with_lay, tabulated
+from brdfpipe.bsdf.wave.two_scale import RoughSurface
 
 LENGTH, RATIO, LAY = 5.0, 2.0, 30.0
 """Geometric mean of both correlation lengths of a Gaussian surface [um], the longer over it, and its azimuth [degree]."""
@@ -142,6 +144,22 @@ def test_every_check_of_a_surface_with_a_lay_passes(sigma):
     assert {verdict["verdict"] for verdict in json.loads(checked.attrs["verdicts"]).values()} == {"pass"}
 
 
+@pytest.mark.parametrize("theta", [70.0, 85.0, 88.5])
+def test_a_perfect_mirror_with_a_lay_returns_all_light_of_every_azimuth(theta):
+    bsdf, wavelength = with_lay(0.06)[0], np.array([550.0])
+    surface = RoughSurface.of(bsdf)
+    closure, cosine = surface.closure, np.cos(np.radians(theta))
+    assert closure is not None
+    azimuths = LAY + np.array([0.0, 10.0, 30.0, 60.0, 90.0, 200.0, 230.0, 270.0])
+    for azimuth, (weight, angles) in zip(azimuths, _directions(bsdf, azimuths)(theta), strict=True):
+        halo = surface.halo_of_mirrors(angles, wavelength)[:, 0, 0]
+        factor = closure.of_halo(np.cos(np.radians(angles[2])), angles[3], wavelength)[:, 0]
+        at = np.array([cosine]), np.array([azimuth]), wavelength
+        coherent = closure.coherent_share(*at).item()
+        # What docs/model.md states between the incidences at which the energy is closed.
+        assert closure.of_halo(*at).item() * (weight * factor) @ halo + coherent == pytest.approx(1, abs=2e-3)
+
+
 def test_facets_without_a_lay_average_the_halo():
     surface = ridges(0.06, seed=1)
     found = facets.estimate(surface, isotropic=True)
@@ -171,6 +189,7 @@ def test_the_reflectance_of_a_strong_lay_is_that_of_its_brdf_and_the_given_one(a
     with samples.coarse_albedo_tables():
         bsdf = wave.build(psd.estimate(surface), facets=found, index=1.5, spectrum=given, optics="auto")
     # Light from the normal has no azimuth.
+    assert bsdf["directional_albedo"].sel(theta_i=slice(0, 89.99)).max() < 1
     around = bsdf.bsdf.albedo(theta_i=0.0, phi_i=np.arange(0.0, 360.0, 15.0), wavelength=550.0).values
     assert np.ptp(around) < 1e-9
     model, nm = representation(bsdf), np.array([550.0])

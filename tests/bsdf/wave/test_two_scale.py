@@ -351,7 +351,7 @@ def test_coherent_light_and_halo_of_a_perfect_mirror_are_all_light_up_to_grazing
         angles = np.full_like(rule.theta, theta), np.zeros_like(rule.theta), rule.theta, rule.phi
         halo = surface.halo_of_mirrors(angles, nm)[..., 0]
         for direction in (angles[0], angles[2]):
-            halo *= surface.closure.of_halo(np.cos(np.radians(direction)), nm)
+            halo *= surface.closure.of_halo(np.cos(np.radians(direction)), 0 * direction, nm)
         # Of the light that waves reflect; steep roughness reflects 6 % of it as facets at 52 degree.
         waves = 1 - surface.facet_share(2 * np.cos(np.radians([theta])), nm)[0, 0]
         # Between the nodes of the factors.

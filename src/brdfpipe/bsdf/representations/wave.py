@@ -8,9 +8,9 @@ from typing import NamedTuple
 import numpy as np
 import xarray as xr
 
-from brdfpipe import vocabulary
+from brdfpipe import hemisphere, vocabulary
 from brdfpipe.bsdf.base import Representation
-from brdfpipe.bsdf.coupled_base import CoupledBase
+from brdfpipe.bsdf.coupled_base import CoupledBase, ellipse_of
 from brdfpipe.bsdf.microfacet.energy import AlbedoTable
 from brdfpipe.bsdf.microfacet.microsurface import NOT_PHYSICAL, Microsurface
 from brdfpipe.bsdf.representations.microfacet import Microfacet
@@ -28,7 +28,7 @@ _MIXED_OR_NOT = (("wavelength",), ("mixed",))
 _BY_INCIDENCE = (("theta_i", "wavelength"), ("theta_i",))
 _BY_DIRECTION = (*_BY_INCIDENCE, ("theta_i", "phi_i", "wavelength"), ("theta_i", "phi_i"))
 
-_CLOSURE = [("closure_incidence", "closure_wavelength")]
+_CLOSURE = [("closure_incidence", "closure_wavelength"), ("closure_incidence", "closure_arc", "closure_wavelength")]
 
 _FACETS = {**Microfacet.kind.required, **Microfacet.kind.optional}
 """Variables of the facets' BSDF."""
@@ -68,7 +68,7 @@ class Wave(Representation):
             **dict.fromkeys(("n", "k"), _MIXED_OR_NOT),
             **dict.fromkeys(("diffuse", "mean_albedo"), vocabulary.SPECTRAL),
             "directional_albedo": _BY_DIRECTION,
-            "coherent_excess": _BY_INCIDENCE,
+            "coherent_excess": _BY_DIRECTION,
             "energy_residual": vocabulary.SCALAR,
         },
         optional={
@@ -106,7 +106,9 @@ class Wave(Representation):
         bsdf = self.dataset
 
         excess = spectral_values(bsdf, "coherent_excess", wavelength)
-        fields = CoupledBase.of(bsdf, wavelength), AlbedoTable(bsdf.variables["theta_i"].values, excess)
+        lay = "phi_i" in bsdf.variables["coherent_excess"].dims
+        around = (bsdf.variables["phi_i"].values, ellipse_of(bsdf)) if lay else (None, None)
+        fields = CoupledBase.of(bsdf, wavelength), AlbedoTable(bsdf.variables["theta_i"].values, excess, *around)
         if "mixture" in bsdf:
             wavelength, n, k, mixture = (
                 bsdf.variables[name].values for name in ("mixed_wavelength", "n", "k", "mixture")
@@ -156,16 +158,24 @@ class Wave(Representation):
         return self._spectral(wavelength).base.total_albedo(np.asarray(theta_i, dtype=float), phi_i)
 
     def specular(self, theta_i: Array, phi_i: Array, wavelength: Array | None) -> tuple[Array, Array]:
-        at, theta = self._spectral(wavelength), np.asarray(theta_i, dtype=float)
+        at, (theta, phi) = (
+            self._spectral(wavelength),
+            np.broadcast_arrays(np.asarray(theta_i, float), np.asarray(phi_i, float)),
+        )
         cosine = np.where(theta >= 90, 0.0, np.cos(np.radians(theta)))
-        coherent = fresnel(cosine[..., None], at.n, at.k).mean * self._surface.coherent_share(theta, at.wavelength)
-        reflected = np.maximum(at.mixed(coherent) - at.excess(np.minimum(theta, 90.0)), 0.0)
+        share = self._surface.coherent_share(theta, phi, at.wavelength)
+        coherent = fresnel(cosine[..., None], at.n, at.k).mean * share
+        reflected = np.maximum(at.mixed(coherent) - at.excess(np.minimum(theta, 90.0), phi), 0.0)
         return np.where((theta >= 90)[..., None], 0.0, reflected), np.zeros_like(reflected)
 
     def regime(self, theta_i: Array, wavelength: Array) -> tuple[Array, Array]:
-        """Shares of the reflection towards the mirror direction that are coherent, and as of facets [1], (incidences, wavelength) each."""
+        """Shares of the reflection towards the mirror direction that are coherent, and as of facets [1], (incidences, wavelength) each.
+
+        With a lay the mean over azimuth.
+        """
         share = self._surface.facet_share(2 * np.cos(np.radians(theta_i)), wavelength)
-        return self._surface.coherent_share(theta_i, wavelength), share
+        azimuths = hemisphere.azimuths(self.isotropic)
+        return self._surface.coherent_share(theta_i[:, None], azimuths, wavelength).mean(axis=1), share
 
     @property
     def albedo_needs_quadrature(self) -> bool:

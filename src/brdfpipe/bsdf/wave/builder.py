@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -42,6 +43,8 @@ from brdfpipe.bsdf.wave.two_scale import (
     Angles,
     RoughSurface,
     characteristic_function,
+    closure_arc_place,
+    closure_arcs,
     closure_nodes,
     closure_place,
     facet_share_at,
@@ -93,6 +96,8 @@ _WAVELENGTHS, _LAY_WAVELENGTHS = 12, 6
 """Wavelengths at which the reflectance is integrated; over the others its ratio to Fresnel's is interpolated."""
 _ITERATIONS, _CLOSURES = 60, (0.02, 2.0)
 """Of the factors that close the energy of the halo, and their limits."""
+_CLOSURE_ARCS = 12
+"""Arcs of half a turn at which the energy of the halo of a surface with a lay is closed."""
 _ARCS_A_HALF, _ARCS_A_TURN = 9, 21
 """Numbers of arcs, in the sense of :func:`azimuth_to_arc`, at which that of a surface with a lay is; odd, for interpolation."""
 _LAY_STEP = 15.0
@@ -429,15 +434,12 @@ def _with_albedo(bsdf: xr.Dataset, theta_m: float, psd: xr.Dataset) -> xr.Datase
     theta = closure_nodes(_INCIDENCES if azimuths.size == 1 else _LAY_INCIDENCES)
     closed = surface.halo is not None and surface.halo.first_order is not None
     if closed:
-        # Of a lay the mean over azimuth, for which every third is enough.
-        bsdf, unmatched = _with_closure(surface, bsdf, theta, azimuths[::3], psd)
+        bsdf, unmatched = _with_closure(surface, bsdf, theta, psd)
         surface = RoughSurface.of(bsdf)
     scattered = _scattered(surface, bsdf, theta, azimuths)
-    missing = smooth(theta)[:, None] * (1 - surface.coherent_share(theta, wavelength))[:, None] - scattered
-    waves, excess = 1 - surface.facet_share(2 * np.cos(np.radians(theta)), wavelength), np.zeros_like(missing[:, 0])
+    missing = smooth(theta)[:, None] * (1 - surface.coherent_share(theta[:, None], azimuths, wavelength)) - scattered
+    waves = 1 - surface.facet_share(2 * np.cos(np.radians(theta)), wavelength)
     if not closed:
-        # Facets may reflect more than a smooth surface; waves may not.
-        excess = np.maximum(-missing.mean(axis=1), 0.0) * waves
         unmatched = missing.mean(axis=1)
     unmatched = unmatched * waves
     if surface.relief is not None:
@@ -451,68 +453,102 @@ def _with_albedo(bsdf: xr.Dataset, theta_m: float, psd: xr.Dataset) -> xr.Datase
         bsdf = bsdf.assign_coords(phi_i=np.sort(np.round(around, 9) % 360))
 
     def between(values: Array) -> Array:
-        cosines = np.cos(np.radians(theta))[::-1]
-        return np.asarray(CubicSpline(cosines, values[::-1])(np.cos(np.radians(table.theta))))
+        place = closure_place(np.cos(np.radians(table.theta)), theta.size)
+        return np.asarray(CubicSpline(np.arange(theta.size), values)(place))
 
-    lost, dims = between(missing + excess[:, None]), ["theta_i"]
-    if "phi_i" in bsdf.coords:
-        ellipse, phi = ellipse_of(bsdf), bsdf["phi_i"].values
-        turned = np.einsum("tal,pa->tpl", lost, _between_azimuths(azimuth_to_arc(ellipse, phi), *_arcs(bsdf)))
-        values, dims = np.clip(table.values[:, None] - turned, 0.0, 1.0), ["theta_i", "phi_i"]
-        albedo = energy.AlbedoTable(table.theta, values, phi, ellipse)
+    lost, phi = between(missing), np.zeros(1)
+    if lay := "phi_i" in bsdf.coords:
+        phi = bsdf["phi_i"].values
+        lost = np.einsum("tal,pa->tpl", lost, _between_azimuths(azimuth_to_arc(ellipse_of(bsdf), phi), *_arcs(bsdf)))
+    if closed:
+        # At least half of what would enter a smooth surface enters this one.
+        smooth_reflects = table.values[:, None]
+        coherent = smooth_reflects * surface.coherent_share(table.theta[:, None], phi, wavelength)
+        excess = np.clip(-lost - (1 - smooth_reflects) / 2, 0.0, coherent)
     else:
-        albedo = energy.AlbedoTable(table.theta, np.clip(table.values - lost.mean(axis=1), 0.0, 1.0))
-    excess = np.maximum(between(excess), 0.0) if excess.any() else np.zeros_like(table.values)
+        # Facets may reflect more than a smooth surface; waves may not.
+        of_waves = between(np.maximum(-missing.mean(axis=1, keepdims=True), 0.0) * waves[:, None])
+        excess = np.broadcast_to(np.maximum(of_waves, 0.0), lost.shape)
+    values = np.clip(table.values[:, None] - lost - excess, 0.0, 1.0)
+    if lay:
+        albedo, dims = energy.AlbedoTable(table.theta, values, phi, ellipse_of(bsdf)), ["theta_i", "phi_i"]
+    else:
+        albedo, dims, excess = energy.AlbedoTable(table.theta, values[:, 0]), ["theta_i"], excess[:, 0]
     bsdf = _with_energy_statement(bsdf, unmatched.max(axis=1), theta)
     if surface.relief is not None:
         share = surface.facet_share(2 * np.cos(np.radians(table.theta)), wavelength)
         bsdf = bsdf.assign(facet_share=(("theta_i", "wavelength"), share))
     return bsdf.assign_coords(theta_i=table.theta).assign(
         directional_albedo=((*dims, "wavelength"), albedo.values),
-        coherent_excess=(("theta_i", "wavelength"), excess),
+        coherent_excess=((*dims, "wavelength"), excess),
         mean_albedo=("wavelength", albedo.mean()),
         energy_residual=float(np.max(unmatched, initial=0.0)),
     )
 
 
-def _with_closure(
-    surface: RoughSurface, bsdf: xr.Dataset, theta: Array, azimuths: Array, psd: xr.Dataset
-) -> tuple[xr.Dataset, Array]:
+def _with_closure(surface: RoughSurface, bsdf: xr.Dataset, theta: Array, psd: xr.Dataset) -> tuple[xr.Dataset, Array]:
     """Add what closes the energy of coherent light and halo; and the light that this leaves missing, (incidences, wavelength).
 
     The coherent light of a perfect mirror loses what its surface scatters. That is g at steep incidence, and the light of first order
-    where g is small, which near grazing is more than g. Of the halo the factor of both directions, N(θ_i)N(θ_o), is found by iteration.
+    where g is small, which near grazing is more than g, and with a lay depends on the azimuth. Of the halo the factor of both
+    directions, N(θ_i)N(θ_o), with a lay N(θ_i, φ_i)N(θ_o, φ_o), is found by iteration.
     """
-    wavelength = bsdf["wavelength"].values
+    wavelength, lay = bsdf["wavelength"].values, _has_azimuths(bsdf)
+    arcs = closure_arcs(_CLOSURE_ARCS if lay else 1)
+    azimuths = arc_to_azimuth(ellipse_of(bsdf), arcs) if lay else np.zeros(1)
     few, directions = _few(wavelength, azimuths), _directions(bsdf, azimuths)
     surface = surface.prepared_for(_count(directions, theta) * few.size)
-    first_order, kernel = np.zeros((theta.size, few.size)), np.zeros((few.size, theta.size, theta.size))
+    first_order = np.zeros((theta.size, arcs.size, few.size))
+    kernel = np.zeros((few.size, *first_order.shape[:2], first_order[..., 0].size))
     for row, angle in enumerate(theta[theta < 90]):
-        for weight, angles in directions(float(angle)):
+        for number, (weight, angles) in enumerate(directions(float(angle))):
             halo, first = np.moveaxis(surface.halo_of_mirrors(angles, wavelength[few]) * weight[:, None, None], -1, 0)
-            first_order[row] += first.sum(axis=0)
-            place = closure_place(np.cos(np.radians(angles[2])), theta.size)
-            node = np.minimum(place.astype(int), theta.size - 2)
-            for column, values in enumerate(halo.T):
-                for shift, part in ((0, 1 - place + node), (1, place - node)):
-                    kernel[column, row] += np.bincount(node + shift, values * part, minlength=theta.size)
-    change = 4e3 * np.pi * np.cos(np.radians(theta))[:, None] / wavelength[few]
-    loss = first_order / azimuths.size * _height_variance(psd, float(bsdf["sigma"]), change)
+            first_order[row, number] = first.sum(axis=0)
+            for node, share in _closure_corners(bsdf, angles, theta.size, arcs.size):
+                for column, values in enumerate(halo.T):
+                    kernel[column, row, number] += np.bincount(node, values * share, minlength=kernel.shape[-1])
+    cosine, between_all = np.cos(np.radians(theta)), kernel.reshape(few.size, -1, kernel.shape[-1])
+    change = 4e3 * np.pi * cosine[:, None] / wavelength[few]
+    loss = first_order * _height_variance(psd, float(bsdf["sigma"]), change)[:, None]
     target = -np.expm1(-loss)
-    kernel /= azimuths.size
+
+    def returned(factor: Array) -> Array:
+        flat = factor.reshape(-1, few.size)
+        return np.asarray((flat * np.einsum("wij,jw->iw", between_all, flat)).reshape(factor.shape))
+
     factor = np.ones_like(target)
     for _ in range(_ITERATIONS):
-        returned = factor * np.einsum("wij,jw->iw", kernel, factor)
-        factor[:-1] *= np.sqrt(target[:-1] / np.maximum(returned[:-1], 1e-300))
+        factor[:-1] *= np.sqrt(target[:-1] / np.maximum(returned(factor)[:-1], 1e-300))
+        factor[-1] = 2 * factor[-2] - factor[-3]
         factor = np.clip(factor, *_CLOSURES)
-        factor[-1] = factor[-2]
-    left = target - factor * np.einsum("wij,jw->iw", kernel, factor)
+    left = np.abs(target - returned(factor)).max(axis=1)
     # Both are 0 at 90°, where their ratio tends to a limit.
-    loss = loss[:-1] * (wavelength[few] * 1e-3) ** 2 / np.cos(np.radians(theta[:-1]))[:, None]
-    dims = "closure_incidence", "closure_wavelength"
+    loss = loss[:-1] * (wavelength[few] * 1e-3) ** 2 / cosine[:-1, None, None]
+    loss = np.append(loss, loss[-1:], axis=0)
     bsdf = bsdf.assign_coords(closure_wavelength=wavelength[few], closure_incidence=theta)
-    bsdf = bsdf.assign(halo_closure=(dims, factor), coherent_loss=(dims, np.append(loss, loss[-1:], axis=0)))
-    return bsdf, _between_wavelengths(np.abs(left), few, wavelength, np.ones(1))
+    dims = ["closure_incidence", "closure_wavelength"]
+    if lay:
+        bsdf, dims = bsdf.assign_coords(closure_arc=arcs), ["closure_incidence", "closure_arc", "closure_wavelength"]
+    else:
+        factor, loss = factor[:, 0], loss[:, 0]
+    bsdf = bsdf.assign(halo_closure=(dims, factor), coherent_loss=(dims, loss))
+    return bsdf, _between_wavelengths(left, few, wavelength, np.ones(1))
+
+
+def _closure_corners(
+    bsdf: xr.Dataset, angles: Angles, incidences: int, arcs: int
+) -> Iterator[tuple[NDArray[np.int64], Array]]:
+    """Nodes of the closure about each outgoing direction, numbered by incidence and arc, and their shares of it."""
+    place = closure_place(np.cos(np.radians(angles[2])), incidences)
+    node = np.minimum(place.astype(int), incidences - 2)
+    of_incidence = [(node, 1 - place + node), (node + 1, place - node)]
+    of_arc: list[tuple[NDArray[np.int64], Array]] = [(np.zeros_like(node), np.ones_like(place))]
+    if arcs > 1:
+        around = closure_arc_place(ellipse_of(bsdf), angles[3], arcs)
+        before = np.floor(around).astype(int)
+        of_arc = [(before % arcs, 1 - around + before), ((before + 1) % arcs, around - before)]
+    for (row, share), (column, part) in product(of_incidence, of_arc):
+        yield row * arcs + column, share * part
 
 
 def _height_variance(psd: xr.Dataset, sigma: float, change: Array) -> Array:
@@ -604,8 +640,12 @@ def _arcs(bsdf: xr.Dataset) -> tuple[Array, float]:
 
 def _azimuths(bsdf: xr.Dataset) -> Array:
     """Azimuths of incidence at which the reflectance is integrated [degree]; one for a surface without a lay."""
-    lay = "halo_azimuth" in bsdf.dims or "phi_i" in bsdf.coords
-    return arc_to_azimuth(ellipse_of(bsdf), _arcs(bsdf)[0]) if lay else np.zeros(1)
+    return arc_to_azimuth(ellipse_of(bsdf), _arcs(bsdf)[0]) if _has_azimuths(bsdf) else np.zeros(1)
+
+
+def _has_azimuths(bsdf: xr.Dataset) -> bool:
+    """Whether the halo or the facets of a surface have a lay."""
+    return "halo_azimuth" in bsdf.dims or "phi_i" in bsdf.coords
 
 
 def _between_azimuths(arcs: Array, nodes: Array, period: float) -> Array:

@@ -31,11 +31,14 @@ from numpy.typing import NDArray
 from scipy.fft import fht, fhtoffset
 from scipy.ndimage import map_coordinates
 
+from brdfpipe.bsdf.coupled_base import ellipse_of
 from brdfpipe.bsdf.microfacet import polarised
+from brdfpipe.bsdf.microfacet.anisotropic_quadrature import azimuth_to_arc
 from brdfpipe.bsdf.microfacet.microsurface import Microsurface
 from brdfpipe.bsdf.microfacet.model import MANY_VALUES
 from brdfpipe.bsdf.representations.microfacet import Microfacet
 from brdfpipe.bsdf.wave.halo import Azimuths, Halo, amplitudes, polarisation_factor
+from brdfpipe.facets.planar_density import Ellipse
 from brdfpipe.facets.radial_density import RadialDensity
 from brdfpipe.geometry import Array, HalfVector, half_vector
 from brdfpipe.optics.fresnel_equations import reflectance_of
@@ -61,6 +64,8 @@ FACETS_ALONE = 0.99
 _BLOCK = 2**15
 """Values that are computed together, so that their arrays stay in the processor's cache."""
 _NODES, _DECADES = 8192, 20
+_ARCS_AROUND = 8
+"""Arcs of the closure that are repeated on either side of half a turn, for a cubic spline."""
 
 
 def facet_share(phase_variance: Array, slope: float, passage: float = PASSAGE_PHASE) -> Array:
@@ -187,30 +192,41 @@ class EnergyClosure(NamedTuple):
     """What makes the coherent light and the halo of a perfect mirror all light; incidences are :func:`closure_nodes`."""
 
     factor: Array
-    """Of either direction of the halo [1], (incidences, wavelengths)"""
+    """Of either direction of the halo [1], (incidences, wavelengths), or (incidences, arcs, wavelengths) with a lay"""
     loss: Array
-    """−λ² ln(coherent share)/cos θ [um2], (incidences, wavelengths)"""
+    """−λ² ln(coherent share)/cos θ [um2], of the same"""
     wavelength: Array
     """[nm]"""
+    ellipse: Ellipse | None = None
+    """Of a lay: its arcs are :func:`closure_arcs`, continued around half a turn by :data:`_ARCS_AROUND`"""
 
     @classmethod
     def of(cls, bsdf: xr.Dataset) -> EnergyClosure:
         """Of a ``bsdf`` dataset, representation ``wave``."""
-        return cls(*(bsdf[name].values for name in ("halo_closure", "coherent_loss", "closure_wavelength")))
+        factor, loss, wavelength = (
+            bsdf[name].values for name in ("halo_closure", "coherent_loss", "closure_wavelength")
+        )
+        if factor.ndim == 2:
+            return cls(factor, loss, wavelength)
+        around = ((0, 0), (_ARCS_AROUND, _ARCS_AROUND), (0, 0))
+        return cls(np.pad(factor, around, "wrap"), np.pad(loss, around, "wrap"), wavelength, ellipse_of(bsdf))
 
-    def of_halo(self, cosine: Array, wavelength: Array) -> Array:
-        """The factor [1], (directions…, wavelength), of cosines (directions…) at wavelengths [nm]."""
-        return self._between(self.factor, cosine, wavelength, 1)
+    def of_halo(self, cosine: Array, azimuth: Array, wavelength: Array) -> Array:
+        """The factor [1], (directions…, wavelength), of cosines and azimuths [degree] (directions…) at wavelengths [nm]."""
+        return self._between(self.factor, cosine, azimuth, wavelength, 1)
 
-    def coherent_share(self, cosine: Array, wavelength: Array) -> Array:
+    def coherent_share(self, cosine: Array, azimuth: Array, wavelength: Array) -> Array:
         """Share of the mirror reflection that is coherent [1], of the same."""
-        loss = self._between(self.loss, cosine, wavelength, 3)
-        return np.exp(-loss * cosine[:, None] / (wavelength * 1e-3) ** 2)
+        loss = self._between(self.loss, cosine, azimuth, wavelength, 3)
+        return np.exp(-loss * cosine[..., None] / (wavelength * 1e-3) ** 2)
 
-    def _between(self, values: Array, cosine: Array, wavelength: Array, order: Literal[1, 3]) -> Array:
-        place = np.empty((2, *cosine.shape, wavelength.size))
+    def _between(self, values: Array, cosine: Array, azimuth: Array, wavelength: Array, order: Literal[1, 3]) -> Array:
+        place = np.empty((values.ndim, *cosine.shape, wavelength.size))
         place[0] = closure_place(cosine, values.shape[0])[..., None]
-        place[1] = np.interp(wavelength, self.wavelength, np.arange(self.wavelength.size))
+        if self.ellipse is not None:
+            count = values.shape[1] - 2 * _ARCS_AROUND
+            place[1] = _ARCS_AROUND + closure_arc_place(self.ellipse, azimuth, count)[..., None]
+        place[-1] = np.interp(wavelength, self.wavelength, np.arange(self.wavelength.size))
         return np.asarray(map_coordinates(values, place, order=order, mode="nearest"))
 
 
@@ -224,6 +240,19 @@ def closure_nodes(count: int) -> Array:
 def closure_place(cosine: Array, count: int) -> Array:
     """Place [1] of cosines of incidence among the numbers of as many nodes."""
     return np.asarray(np.arccos(np.minimum(np.maximum(2 * cosine - 1, -1.0), 1.0)) * ((count - 1) / np.pi))
+
+
+def closure_arcs(count: int) -> Array:
+    """Arcs [degree] of half a turn, in the sense of :func:`brdfpipe.bsdf.microfacet.anisotropic_quadrature.azimuth_to_arc`.
+
+    The halo is the same after the other half.
+    """
+    return np.arange(count) * 180.0 / count
+
+
+def closure_arc_place(ellipse: Ellipse, azimuth: Array, count: int) -> Array:
+    """Place [1], from 0 to ``count``, of azimuths [degree] among the numbers of as many arcs."""
+    return np.asarray(azimuth_to_arc(ellipse, azimuth) % 180 * (count / 180))
 
 
 @dataclass(frozen=True)
@@ -263,14 +292,13 @@ class RoughSurface:
             return np.full((*np.shape(cosines), wavelength.size), float(self.halo is None))
         return facet_share_at(self.facet_sigma, self.slope, self.passage, cosines, wavelength)
 
-    def coherent_share(self, theta_i: Array, wavelength: Array) -> Array:
-        """Share of Fresnel's reflectance that is reflected coherently, (incidences…, wavelength)."""
+    def coherent_share(self, theta_i: Array, phi_i: Array, wavelength: Array) -> Array:
+        """Share of Fresnel's reflectance that is reflected coherently, (incidences…, wavelength), of θ_i and φ_i [degree]."""
+        theta_i, phi_i = np.broadcast_arrays(theta_i, phi_i)
         cosine = np.cos(np.radians(theta_i))
         waves = 1 - self.facet_share(2 * cosine, wavelength)
         if self.closure is not None:
-            return waves * self.closure.coherent_share(np.maximum(cosine.reshape(-1), 0.0), wavelength).reshape(
-                waves.shape
-            )
+            return waves * self.closure.coherent_share(np.maximum(cosine, 0.0), phi_i, wavelength)
         return waves * self.halo.coherent_share(theta_i, wavelength) if self.halo is not None else waves
 
     def evaluate(self, angles: Angles, wavelength: Array, n: Array, k: Array) -> Array:
@@ -391,7 +419,7 @@ class RoughSurface:
             once, more = self.halo.by_order(pair, azimuths, wavelength, tilted)
             of_waves = 1 - share
             if self.closure is not None:
-                of_i, of_o = self.closure.of_halo(np.array([pair.cos_i, pair.cos_o]), wavelength)
+                of_i, of_o = self.closure.of_halo(np.array([pair.cos_i, pair.cos_o]), np.array(azimuths), wavelength)
                 of_waves = of_waves * of_i * of_o
             waves, spread = of_waves * once, of_waves * more
         if share.any():
