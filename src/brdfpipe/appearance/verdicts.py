@@ -29,6 +29,8 @@ class Verdict:
     verdict: str
     """One of :data:`VERDICTS`."""
     text: str
+    of: str = "check"
+    """What gave it: ``check``, ``condition`` of the model, or ``stage`` with warnings."""
 
 
 def verdicts(datasets: Datasets) -> list[Verdict]:
@@ -39,6 +41,7 @@ def verdicts(datasets: Datasets) -> list[Verdict]:
             _lowered(judgement.condition),
             judgement.verdict,
             ". ".join(filter(None, (judgement.finding, judgement.advice))),
+            "condition",
         )
         for judgement in ([] if is_measured(datasets) else validity(datasets))
         if judgement.verdict in ("fail", "warn")
@@ -100,4 +103,4 @@ def _warning_verdicts(datasets: Datasets) -> list[Verdict]:
     own = {stage: dataset for stage, dataset in datasets.items() if stage not in _BY_PRODUCTS}
     for stage, text in stage_warnings(own):
         texts.setdefault(stage, []).append(text.strip().removesuffix("."))
-    return [Verdict(stage_title(datasets, stage), "warn", "; ".join(lines)) for stage, lines in texts.items()]
+    return [Verdict(stage_title(datasets, stage), "warn", "; ".join(lines), "stage") for stage, lines in texts.items()]

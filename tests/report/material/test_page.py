@@ -16,7 +16,7 @@ from PIL import Image
 
 from brdfpipe import flakes, optics, vocabulary
 from brdfpipe.appearance import compute_appearance
-from brdfpipe.appearance.verdicts import stage_warnings, verdicts
+from brdfpipe.appearance.verdicts import overall, stage_warnings, verdicts
 from brdfpipe.bsdf import flake, microfacet, slab
 from brdfpipe.exchange.registry import FORMATS, Format
 from brdfpipe.facets import analytic, flat
@@ -119,7 +119,9 @@ def test_no_figure_contains_nan(full_page: str) -> None:
 def test_the_page_requests_nothing_from_elsewhere(full_page: str) -> None:
     html = full_page
     page = _Page(html)
-    assert all(address.startswith("data:image/png;base64,") or address == "../index.html" for address in page.addresses)
+    assert all(
+        address.startswith(("data:image/png;base64,", "#")) or address == "../index.html" for address in page.addresses
+    )
     assert not {"script", "link", "iframe", "object", "embed", "base", "form"} & set(page.tags)
     assert "default-src 'none'" in html
     assert not re.search(r"@import|url\(", html)
@@ -425,8 +427,22 @@ def test_the_error_of_the_prediction_is_shown_where_a_reference_holds(full: Data
 def test_the_verdict_and_its_reason_are_at_the_top_as_in_the_catalogue(full: Datasets) -> None:
     page, row = _Page(material_page(full)).text, summarise(full)
     verdict, reason = (str(row[name].values[0]) for name in ("verdict", "verdict_text"))
-    assert f"! {verdict} for {reason.replace('`', '')}"[:60] in page.replace(" : ", ": ")
+    assert f"! {verdict} for {reason.replace('`', '')}"[:30] in page.replace(" : ", ": ")
     assert page.index(f"! {verdict} for") < page.index("Gloss 60°")
+
+
+@pytest.mark.usefixtures("without_bsdf_figures")
+def test_a_reason_of_the_verdict_is_worded_once_and_linked_at_the_top(full: Datasets) -> None:
+    noisy = vocabulary.add_warning(full["facets"], "the slopes hold more noise than surface")
+    known = {name: full[name] for name in full if name != "checks"} | {"facets": noisy, "model_error": _model_error()}
+    html = material_page(known)
+    reasons = overall(known)[1]
+    assert {entry.of for entry in reasons} == {"condition", "stage"}
+    top = html[: html.index('class="badges"')]
+    for entry in reasons:
+        anchor = {"condition": "validity", "stage": "warnings"}[entry.of]
+        assert f'<a href="#{anchor}"><b>{entry.name}</b></a>' in top
+        assert _Page(html).text.count(entry.text.split(". ")[0].replace("`", "")) == 1
 
 
 @pytest.mark.usefixtures("without_bsdf_figures")
