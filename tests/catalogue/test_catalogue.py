@@ -21,6 +21,8 @@ from brdfpipe.stages import STAGES, Subject
 COLOUR = "spectrum: {lab: [50, 0, 0], illuminant: D65, observer: 10, geometry: sci}\n"
 
 SCAN = "surface: {file: a.txt, unit: um, pitch: 1}\nindex: 1.5\n"
+CROSSED = "surface: {file: a.txt, layout: line, scans: [{file: a.txt, azimuth: 90}]}\nindex: 1.5\n"
+"""Two lines, along a lay and across it."""
 FRONT = "surface: {distribution: flat}\nindex: PP\n"
 ROUGH = "surface: {distribution: beckmann, slope_rms: 0.02, length: 5}\nindex: 1.5\n"
 
@@ -75,6 +77,24 @@ def test_one_bad_material_stops_no_other(tmp_path: Path) -> None:
         (
             "surface: {file: a.txt, layout: line, isotropic: false}\nindex: 1.5",
             "isotropic: not an accepted value; found False",
+        ),
+        (
+            "surface: {file: a.txt, layout: line, scans: [{file: a.txt, azimuth: 180}]}\nindex: 1.5",
+            "the key 'isotropic' is missing; accepted: true",
+        ),
+        (CROSSED.replace("line,", "line, method: abel,"), "surface.method: lines in two directions are counted"),
+        (CROSSED + "model: {masking: measured}", "model.masking: this masking is for a surface without a lay"),
+        (
+            "surface: {file: a.txt, isotropic: false}\nindex: 1.5\nmodel: {masking: liu}",
+            "model.masking: this masking is for a surface without a lay; found 'liu'",
+        ),
+        (
+            CROSSED + "model: {multiple_scattering: measured}",
+            "model.multiple_scattering: rays are traced on a height map",
+        ),
+        (
+            "surface: {file: a.txt, layout: line, isotropic: true}\nindex: 1.5\nmodel: {truth: use}",
+            "model.truth: rays are traced on a height map",
         ),
         ("surface: {file: a.txt, distribution: ggx, a: 1}\nindex: 1.5", "either `file` or `distribution`$"),
         ("surface: {file: a.txt}\nindex: 1,5", "found '1,5'.*decimal point"),

@@ -27,6 +27,7 @@ from brdfpipe.exchange.registry import FORMATS
 from brdfpipe.masking.modes import (
     HALOS,
     MASKINGS_OF_MULTIPLE_SCATTERING,
+    MASKINGS_WITHOUT_LAY,
     MODEL_DEFAULTS,
     MODES,
     OPTICS,
@@ -197,13 +198,29 @@ class MeasuredSurface(Keys):
         details="See [several scans](#several-scans-of-one-surface).",
     )
 
+    @property
+    def is_line(self) -> bool:
+        """Whether the description says that the file is a line profile; a file may be one without that."""
+        return self.layout == "line"
+
+    @property
+    def has_lay(self) -> bool:
+        """Whether the description says that the facets have a lay; a map may show one without that."""
+        return self.isotropic is False or (self.is_line and self.isotropic is None)
+
     @model_validator(mode="after")
     def _check_line_profile(self) -> Self:
-        if self.layout == "line" and not self.scans and not self.isotropic:
+        if not self.is_line or self.isotropic:
+            return self
+        azimuths = {(scan.azimuth or 0.0) % 180 for scan in self.scans or [] if not scan.repeat}
+        if azimuths <= {(self.azimuth or 0.0) % 180}:
             accepted = "true, if the finish looks the same from every azimuth: one line profile shows one azimuth alone"
             if self.isotropic is None:
                 raise InputError("", "the key 'isotropic' is missing", accepted=accepted)
             raise InputError("", "not an accepted value", where="isotropic", found=self.isotropic, accepted=accepted)
+        if self.method not in (None, "mixture"):
+            problem, accepted = "lines in two directions are counted as a mixture", "mixture, or `isotropic: true`"
+            raise InputError("", problem, where="method", found=repr(self.method), accepted=accepted)
         return self
 
 
@@ -892,6 +909,25 @@ class Material(Keys):
                 problem = f"{what} traced on measured heights, and the surface is not measured"
                 accepted = "a measured `surface`, or " + " or ".join(others)
                 raise InputError("", problem, where=f"model.{name}", found="'measured'", accepted=accepted)
+        return self
+
+    @model_validator(mode="after")
+    def _check_modes_of_scan(self) -> Self:
+        """Refuse modes that a line profile or a lay does not have, where the description says that the scan is or has one."""
+        if not isinstance(self.surface, MeasuredSurface):
+            return self
+        if self.surface.has_lay and self.model.masking in MASKINGS_WITHOUT_LAY:
+            problem = "this masking is for a surface without a lay"
+            accepted = f"`surface.isotropic: true`, or auto or {' or '.join(SMITH_MASKINGS)}"
+            raise InputError("", problem, where="model.masking", found=repr(self.model.masking), accepted=accepted)
+        for name, value, others in (
+            ("multiple_scattering", "measured", "auto, directional, compensated or none"),
+            ("truth", "use", "check or none"),
+        ):
+            if self.surface.is_line and getattr(self.model, name) == value:
+                problem = "rays are traced on a height map, and `surface.layout` is line"
+                accepted = f"an areal map as `surface.file`, or {others}"
+                raise InputError("", problem, where=f"model.{name}", found=repr(value), accepted=accepted)
         return self
 
     @model_validator(mode="after")

@@ -11,6 +11,9 @@ SMITH_MASKINGS = ("height-correlated", "separable")
 PHYSICAL_MASKINGS = (*SMITH_MASKINGS, "measured")
 """Maskings that are reciprocal and conserve the energy of reflected light; ``measured`` is traced on the height map."""
 
+MASKINGS_WITHOUT_LAY = ("measured", "liu")
+"""Maskings that are defined for a surface without a lay alone."""
+
 LARGEST_COMPARED = 75.0
 """Largest angle of incidence at which the light of the facets chooses the masking [degree]."""
 

@@ -37,6 +37,7 @@ from brdfpipe.masking.modes import (
     LARGEST_COMPARED,
     MASKING_ADVISED,
     MASKINGS_OF_MULTIPLE_SCATTERING,
+    MASKINGS_WITHOUT_LAY,
     MODEL_DEFAULTS,
     MODES,
     MULTIPLE_SCATTERING_ADVISED,
@@ -114,9 +115,10 @@ def build(
     if transparent:
         _check_transparent(chosen, spectrum, n, k, facets["slope_density"].size > 0)
     surface = azimuthal_average(facets) if isotropic else facets
-    if chosen["masking"] == "liu" and surface["slope_density"].ndim == 2:
+    if chosen["masking"] in MASKINGS_WITHOUT_LAY and surface["slope_density"].ndim == 2:
         raise ModelError(
-            "masking 'liu' is for isotropic surfaces, and this one has a lay; set `surface.isotropic: true` or another `model.masking`"
+            f"masking {chosen['masking']!r} is for isotropic surfaces, and this one has a lay; set `surface.isotropic: true` or another "
+            "`model.masking`"
         )
     bsdf = _surface_of(surface)
     chosen["multiple_scattering"], choice = _resolved_multiple_scattering(
@@ -291,11 +293,6 @@ def with_visibility(bsdf: xr.Dataset, visibility: xr.Dataset | None) -> xr.Datas
         raise ModelError(
             "masking 'measured' needs the visibility of the facets, traced on their heights "
             "(`brdfpipe.masking.visibility_choice.choose`); give `visibility`, or set `model.masking: height-correlated`"
-        )
-    if bsdf["slope_density"].ndim == 2:
-        raise ModelError(
-            "masking 'measured' is for isotropic surfaces, and this one has a lay; set `surface.isotropic: true` or another "
-            "`model.masking`"
         )
     vocabulary.validate(visibility, "visibility")
     for name in ("visibility_ratio", "single_ratio"):
