@@ -385,7 +385,7 @@ QUANTITIES: Mapping[str, Quantity] = {
         0,
         1,
     ),
-    "unresolved_loss": Quantity(
+    "finer_roughness_loss": Quantity(
         "1", "share of the light of a lobe that finer roughness may scatter, as a standard uncertainty", 0, 1
     ),
     "error_gloss_angle": Quantity("degree", "angle at which the error of the gloss of a model is compared", 0, 90),
@@ -663,7 +663,10 @@ KINDS: Mapping[str, Kind] = {
     "uncertainty": Kind(
         {},
         optional={
-            **{key: [("error_theta", "region")] for key in ("relative_error", "transmitted_loss", "unresolved_loss")},
+            **{
+                key: [("error_theta", "region")]
+                for key in ("relative_error", "transmitted_loss", "finer_roughness_loss")
+            },
             **{key: [("error_gloss_angle",)] for key in ("model_gloss_error", "reference_gloss_u")},
         },
         attributes=("uncertainty_not_stated",),

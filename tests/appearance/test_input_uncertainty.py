@@ -116,7 +116,7 @@ def test_light_that_finer_roughness_may_scatter_adds_to_a_known_error_of_gloss()
     # A scan shows its reference solution no more than the prediction.
     plateau = roughness.analytic("gaussian", sigma=1.0, length=500.0).assign(unresolved_sigma=0.03)
     bsdf = with_model_error(beckmann_bsdf(0.03, reflectance=0.05), 0.1, (3.0, -4.0), psd=plateau)
-    finer = bsdf.drop_vars("model_gloss_error").assign(relative_error=bsdf["unresolved_loss"])
+    finer = bsdf.drop_vars("model_gloss_error").assign(relative_error=bsdf["finer_roughness_loss"])
     of_both, of_finer = (compute_appearance(one)["gloss_u_source"].sel(source="model")[:2] for one in (bsdf, finer))
     assert (of_finer > 1).all()
     np.testing.assert_allclose(of_both, np.hypot([3.0, 4.0], of_finer.values))

@@ -283,4 +283,4 @@ def test_roughness_that_may_hide_in_a_plateau_counts_as_an_uncertainty_of_the_lo
     error = xr.DataArray(np.full((1, 3), 0.5), {"theta_i": [20.0], "region": ["peak", "shoulder", "rest"]})
     both = uncertainty(bsdf, psd=analytic, relative_error=error)["relative_error"].sel(error_theta=20.0)
     np.testing.assert_allclose(both, [np.hypot(0.5, loss), np.hypot(0.5, loss), 0.5])
-    np.testing.assert_array_equal(changes["unresolved_loss"], changes["relative_error"])
+    np.testing.assert_array_equal(changes["finer_roughness_loss"], changes["relative_error"])

@@ -7,7 +7,7 @@ from random_surfaces import gaussian, gaussian_line, heights
 
 from brdfpipe.psd import PsdError
 from brdfpipe.psd.k_correlation import KCorrelation
-from brdfpipe.psd.noise_floor import UNKNOWN, beyond_rounding, from_repeats, given, noise_floor, plateau
+from brdfpipe.psd.noise_floor import UNKNOWN, from_repeats, given, noise_besides_rounding, noise_floor, plateau
 from brdfpipe.psd.periodograms import Scan
 
 
@@ -116,13 +116,13 @@ def test_rounding_is_no_further_noise() -> None:
     rounded = np.rint(clean / step) * step
     floor = plateau(Scan(rounded, (1.0, 1.0)))
     assert floor.sigma == pytest.approx(step / np.sqrt(12), rel=0.05)
-    assert beyond_rounding(floor, step) == 0
+    assert noise_besides_rounding(floor, step) == 0
     noisy = np.rint((clean + white(clean.shape, 0.01)) / step) * step
-    assert beyond_rounding(plateau(Scan(noisy, (1.0, 1.0))), step) == pytest.approx(0.01, rel=0.03)
+    assert noise_besides_rounding(plateau(Scan(noisy, (1.0, 1.0))), step) == pytest.approx(0.01, rel=0.03)
 
 
 @pytest.mark.parametrize("uncertainty", [0.0, 0.002, 0.01])
 def test_a_given_noise_is_noise_however_uncertain(uncertainty: float) -> None:
     floor = given(Scan(white((64, 64), 0.1), (1.0, 1.0)), 0.01, uncertainty=uncertainty)
-    assert beyond_rounding(floor, 0.0) == 0.01
-    assert beyond_rounding(floor, 0.01) == pytest.approx(0.01 * (11 / 12) ** 0.5)
+    assert noise_besides_rounding(floor, 0.0) == 0.01
+    assert noise_besides_rounding(floor, 0.01) == pytest.approx(0.01 * (11 / 12) ** 0.5)

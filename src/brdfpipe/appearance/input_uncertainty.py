@@ -167,16 +167,16 @@ def _known_errors(
         bsdf[name].reindex(error_gloss_angle=angles).values for name in ("model_gloss_error", "reference_gloss_u")
     )
     counted = sum((np.square(parts["gloss"].get(name, np.zeros_like(error))) for name in _OF_MAP), np.zeros_like(error))
-    beyond = np.sqrt(np.maximum(np.square(of_map) - counted, 0.0))
+    not_counted = np.sqrt(np.maximum(np.square(of_map) - counted, 0.0))
 
     def known(own: Array, others: Array, of_light: Array) -> Array:
         return np.where(np.isfinite(own), np.sqrt(own**2 + others), of_light)
 
-    others = beyond**2 + of_finer**2
+    others = not_counted**2 + of_finer**2
     result = {"gloss": parts["gloss"] | {MODEL: known(error, others, parts["gloss"][MODEL])}}
     if "haze" in parts:
         low, high = angles.index(20.0), angles.index(60.0)
-        others_of_haze = beyond[low] ** 2 + beyond[high] ** 2 + (of_finer[high] - of_finer[low]) ** 2
+        others_of_haze = not_counted[low] ** 2 + not_counted[high] ** 2 + (of_finer[high] - of_finer[low]) ** 2
         own = error[high] - error[low]
         result["haze"] = parts["haze"] | {MODEL: known(own, others_of_haze, parts["haze"][MODEL])}
     return result
@@ -184,9 +184,9 @@ def _known_errors(
 
 def _finer_roughness(bsdf: xr.Dataset) -> Reflector | None:
     """The BSDF less the light that roughness finer than the scan may scatter, which reference solutions on that scan do not know either."""
-    if "unresolved_loss" not in bsdf:
+    if "finer_roughness_loss" not in bsdf:
         return None
-    return SourceChanges(without_changes(bsdf).assign(relative_error=bsdf["unresolved_loss"])).changed[0]
+    return SourceChanges(without_changes(bsdf).assign(relative_error=bsdf["finer_roughness_loss"])).changed[0]
 
 
 def _colour_parts(

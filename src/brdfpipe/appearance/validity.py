@@ -238,7 +238,7 @@ def _heights(datasets: Datasets) -> Judgement | None:
         return None
     heights, spectrum = float(psd["sigma_heights"]), known_rms_height(psd)
     finding = f"{_nanometres(spectrum)} in the roughness spectrum, {_nanometres(heights)} of the heights"
-    verdict = _beyond(max(spectrum / heights, heights / max(spectrum, 1e-300)), HEIGHT_LIMITS)
+    verdict = _verdict_by_limits(max(spectrum / heights, heights / max(spectrum, 1e-300)), HEIGHT_LIMITS)
     advice = "" if verdict == "pass" else "Measure a larger area, or one with fewer missing heights"
     return Judgement("Rms height", finding, verdict, advice)
 
@@ -248,7 +248,7 @@ def _energy(datasets: Datasets) -> Judgement | None:
     if "energy_residual" not in bsdf:
         return None
     missed = float(bsdf["energy_residual"])
-    verdict = _beyond(missed, missed_light.LIMITS)
+    verdict = _verdict_by_limits(missed, missed_light.LIMITS)
     finding = f"up to {missed:.2%} of the incident light" if missed >= 5e-5 else "less than 0.01% of the incident light"
     return Judgement("Light that waves miss", finding, verdict, "" if verdict == "pass" else missed_light.advice(bsdf))
 
@@ -258,7 +258,7 @@ def _nanometres(micrometres: float) -> str:
     return f"{np.format_float_positional(1e3 * micrometres, precision=3, fractional=False, trim='-')} nm"
 
 
-def _beyond(value: float, limits: tuple[float, float]) -> str:
+def _verdict_by_limits(value: float, limits: tuple[float, float]) -> str:
     """Verdict on a value that has limits for warn and fail."""
     return "fail" if value > limits[1] else "warn" if value > limits[0] else "pass"
 
@@ -360,9 +360,9 @@ def _model_error(datasets: Datasets) -> Judgement | None:
     if unjudged := _unjudged_gloss(result):
         finding += f"; gloss at {' and '.join(f'{angle:g}°' for angle in unjudged)} is not judged: no reference solution holds there"
     verdict = "fail" if excess[1] > 0 else "warn" if excess[0] > 0 else "pass"
-    if verdict == "pass" and (unclear := _unclear(peak, result)):
+    if verdict == "pass" and (open_question := _not_shown_within_limits(peak, result)):
         # An error that may be beyond the limit is not shown to be within it.
-        return Judgement(condition, f"{finding}; {unclear}", "warn", "Measure a larger area")
+        return Judgement(condition, f"{finding}; {open_question}", "warn", "Measure a larger area")
     advice = str(result.attrs.get("advice", ""))
     return Judgement(condition, finding, verdict, "" if verdict == "pass" else advice[:1].upper() + advice[1:])
 
@@ -373,7 +373,7 @@ def _unjudged_gloss(result: xr.Dataset) -> list[float]:
     return [float(angle) for angle in result["gloss_angle"].values[~held.values]]
 
 
-def _unclear(peak: xr.Dataset, result: xr.Dataset) -> str:
+def _not_shown_within_limits(peak: xr.Dataset, result: xr.Dataset) -> str:
     """What is not shown of the errors, in words; empty where each of them is known to its limit, and within it."""
     light = peak[["light_error", "light_error_u"]].where(peak["valid"] > 0)
     units = result[["gloss_error", "gloss_error_u"]].where(result["gloss_valid"] > 0)

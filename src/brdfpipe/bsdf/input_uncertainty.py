@@ -94,7 +94,7 @@ def uncertainty(
     Returns
     -------
     Dataset of kind ``uncertainty``: ``<variable>_change`` of variables of the BSDF, ``uncertainty_source`` of each change,
-    ``relative_error``, with its part ``unresolved_loss`` by roughness finer than the pitch, ``model_gloss_error`` and ``reference_gloss_u``. The attribute
+    ``relative_error``, with its part ``finer_roughness_loss`` by roughness finer than the pitch, ``model_gloss_error`` and ``reference_gloss_u``. The attribute
     ``uncertainty_not_stated`` names the inputs whose uncertainty is not known, as
     ``model beyond 60°`` where it is known of some incidences: none is assumed
 
@@ -130,16 +130,16 @@ def uncertainty(
         if gloss_error is not None:
             result = result.merge(gloss_error.rename(gloss_angle="error_gloss_angle"))
         known = relative_error["theta_i"].values[relative_error.notnull().any("region").values]
-        beyond = [f"{MODEL} beyond {known[-1]:g}°"] if known[-1] < relative_error["theta_i"].values[-1] else []
-        missing = [name for name in missing if name != MODEL] + beyond
+        unknown = [f"{MODEL} beyond {known[-1]:g}°"] if known[-1] < relative_error["theta_i"].values[-1] else []
+        missing = [name for name in missing if name != MODEL] + unknown
     if "n" in bsdf and (unresolved := unresolved_rms_height(psd)):
-        loss = _unresolved_loss(unresolved, result.get("error_theta"))
+        loss = _finer_roughness_loss(unresolved, result.get("error_theta"))
         both = xr.DataArray(np.hypot(result["relative_error"], loss)) if "relative_error" in result else loss
-        result = result.assign(relative_error=both.transpose("error_theta", "region"), unresolved_loss=loss)
+        result = result.assign(relative_error=both.transpose("error_theta", "region"), finer_roughness_loss=loss)
     return vocabulary.label(result.assign_attrs({NOT_STATED: ", ".join(missing)}), "uncertainty")
 
 
-def _unresolved_loss(sigma: float, theta: xr.DataArray | None) -> xr.DataArray:
+def _finer_roughness_loss(sigma: float, theta: xr.DataArray | None) -> xr.DataArray:
     """Relative light that roughness finer than the pitch, of an rms height [um], would take out of the lobe, at incidences ``theta`` [degree].
 
     It takes 1 − e^(−g), g = (4πσ cos θ/λ)² at 550 nm, and scatters it so far that the rest of the BSDF is taken as unchanged.

@@ -29,7 +29,7 @@ from brdfpipe.bsdf.spectral import at_wavelengths
 from brdfpipe.geometry import Array
 
 _SUFFIX = "_change"
-_OF_MODEL = "relative_error", "transmitted_loss", "unresolved_loss", "model_gloss_error", "reference_gloss_u"
+_OF_MODEL = "relative_error", "transmitted_loss", "finer_roughness_loss", "model_gloss_error", "reference_gloss_u"
 _HELD = 2.0
 """Degrees beyond the last known incidence up to which its error is that of a model: the light of a gloss meter is so wide."""
 _PEAK_INCIDENCES = np.array([0.0, 15.0, 30.0, 45.0, 60.0, 70.0, 75.0, 80.0, 85.0, 88.0])

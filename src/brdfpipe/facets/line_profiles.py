@@ -168,12 +168,12 @@ def _isotropic(lines: Sequence[xr.Dataset], method: str, noise: float | NoiseFlo
     return vocabulary.label(facets, "facets")
 
 
-def _tail_shares(squares: Array, weight: Array, beyond: NDArray[np.bool_]) -> dict[str, float]:
+def _tail_shares(squares: Array, weight: Array, extrapolated: NDArray[np.bool_]) -> dict[str, float]:
     """What the facets of the extrapolated tail are of all facets, and of their mean square slope, from a quadrature of the density."""
     part = squares * weight
     return {
-        "tail_share": float(weight[beyond].sum() / weight.sum()),
-        "tail_contribution": float(part[beyond].sum() / part.sum()),
+        "tail_share": float(weight[extrapolated].sum() / weight.sum()),
+        "tail_contribution": float(part[extrapolated].sum() / part.sum()),
     }
 
 
@@ -279,8 +279,8 @@ def _perpendicular(directions: Sequence[_Direction], noise: float | NoiseFloor |
     )
     facets = with_changes(facets, _planar_changes(density, fit, marginals))
     p, q, weight = density.principal_rule()
-    beyond = (p / marginals[0].measured_to) ** 2 + (q / marginals[1].measured_to) ** 2 > 1
-    facets = facets.assign(_tail_shares(p**2 + q**2, weight, beyond))
+    extrapolated = (p / marginals[0].measured_to) ** 2 + (q / marginals[1].measured_to) ** 2 > 1
+    facets = facets.assign(_tail_shares(p**2 + q**2, weight, extrapolated))
     lines = [line for direction in directions for line in direction.lines]
     facets.attrs |= {"method": "two perpendicular lines, Gaussian scale mixture", "band": str(lines[0].attrs["band"])}
     facets = vocabulary.add_history(

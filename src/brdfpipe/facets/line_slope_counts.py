@@ -15,7 +15,7 @@ from brdfpipe.facets.height_quantisation import distinct_multiples
 from brdfpipe.facets.slope_histogram import FacetError, check_slope_rms, redundancy_in_classes
 from brdfpipe.facets.slopes import FINE_BINS, NOT_OUTLYING, Outlying, fine_edges, outlying
 from brdfpipe.geometry import Array
-from brdfpipe.psd.noise_floor import NoiseFloor, beyond_rounding, noise_floor
+from brdfpipe.psd.noise_floor import NoiseFloor, noise_besides_rounding, noise_floor
 
 STRETCHES = 32
 """Number of stretches the lines are cut into, a power of two; their scatter gives the uncertainty."""
@@ -120,8 +120,8 @@ class LineSlopeCounts(NamedTuple):
     @property
     def measured_to(self) -> float:
         """The largest edge beyond which there are 100 independent slopes."""
-        beyond = np.cumsum(self.counts[::-1])[::-1]
-        return float(self.bins[np.flatnonzero(beyond >= min(100 * self.redundancy, beyond[0]))[-1], 0])
+        steeper = np.cumsum(self.counts[::-1])[::-1]
+        return float(self.bins[np.flatnonzero(steeper >= min(100 * self.redundancy, steeper[0]))[-1], 0])
 
     @property
     def rms_of_halves(self) -> Array:
@@ -337,7 +337,7 @@ class _Profile(NamedTuple):
 
 def _with_noise(profile: _Profile, line: xr.Dataset, noise: float | NoiseFloor | None) -> _Profile:
     floor = noise_floor(line, noise)
-    rest = beyond_rounding(floor, profile.quantum * profile.pitch)
+    rest = noise_besides_rounding(floor, profile.quantum * profile.pitch)
     return profile._replace(
         noise=2 * (rest / profile.pitch) ** 2, noise_u=4 * rest * floor.uncertainty / profile.pitch**2 if rest else 0.0
     )

@@ -264,6 +264,6 @@ def _excess_slope(density: PlanarDensity, edges: Array, azimuth: float) -> Array
     above = share.sum(axis=1)
     within = (share * (slope.reshape(-1, 2) - edges[:-1, None])).sum(axis=1)
     # Summed from the tail inwards all terms are positive: g is monotonic, without cancellation.
-    beyond = np.cumsum(above[::-1])[::-1] - above
-    rest = beyond * np.diff(edges)
+    steeper = np.cumsum(above[::-1])[::-1] - above
+    rest = steeper * np.diff(edges)
     return np.asarray(width * np.cumsum((within + rest)[::-1])[::-1])

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from brdfpipe.facets.height_quantisation import height_step
 from brdfpipe.geometry import Array
-from brdfpipe.psd.noise_floor import NoiseFloor, beyond_rounding, noise_floor
+from brdfpipe.psd.noise_floor import NoiseFloor, noise_besides_rounding, noise_floor
 
 SCALES = np.array([1.0, 2.0, 4.0, 8.0])
 """Distances, in pixels, over which the slope rms is reported."""
@@ -45,7 +45,7 @@ class HeightMap(NamedTuple):
         """The heights of a map; its ``noise`` [um] is that of the plateau of its spectrum, unless it is given."""
         height, pitch = surface["height"].values, (float(surface.attrs["pitch_x"]), float(surface.attrs["pitch_y"]))
         step, floor = height_step(height, pitch), noise_floor(surface, noise)
-        return cls(height, pitch, step, beyond_rounding(floor, step), floor.uncertainty)
+        return cls(height, pitch, step, noise_besides_rounding(floor, step), floor.uncertainty)
 
     @property
     def rounding(self) -> Array:
@@ -254,8 +254,10 @@ def outlying(counts: NDArray[np.int64]) -> Outlying:
     cumulated = np.cumsum(totals) / totals.sum()
     median, steep = (float(edges[np.searchsorted(cumulated, share) + 1]) for share in (0.5, 1 - _MOST_OUTLYING))
     limit = max(_OUTLYING * median, steep)
-    squares, beyond = totals * (edges[1:] ** 2 + edges[:-1] ** 2), edges[:-1] >= limit
-    found = Outlying(limit, float(totals[beyond].sum() / totals.sum()), float(squares[beyond].sum() / squares.sum()))
+    squares, outlying = totals * (edges[1:] ** 2 + edges[:-1] ** 2), edges[:-1] >= limit
+    found = Outlying(
+        limit, float(totals[outlying].sum() / totals.sum()), float(squares[outlying].sum() / squares.sum())
+    )
     return found if found.contribution > _LEAST_CONTRIBUTION else NOT_OUTLYING
 
 

@@ -116,11 +116,11 @@ def _compared_and_traced(surface: xr.Dataset, facets: xr.Dataset, masking: str, 
 def _choice(comparison: xr.Dataset) -> tuple[str, str]:
     judged = comparison.sel(theta_i=slice(None, LARGEST_COMPARED))
     error, u = judged["smith_error"].values, judged["smith_error_u"].values
-    beyond = np.abs(error) / (THRESHOLD + SIGNIFICANT * u)
-    row, column = np.unravel_index(int(beyond.argmax()), error.shape)
+    over_limit = np.abs(error) / (THRESHOLD + SIGNIFICANT * u)
+    row, column = np.unravel_index(int(over_limit.argmax()), error.shape)
     place = f"at {THETA[row]:g}° in {'the peak' if list(REGIONS)[column] == 'peak' else 'all'}"
     found = f"{error[row, column]:+.1%} ± {u[row, column]:.1%} of the light {place}".replace("-", "−")
-    if beyond.max() > 1:
+    if over_limit.max() > 1:
         return "measured", f"Smith's masking would give {found}"
     return (
         "height-correlated",

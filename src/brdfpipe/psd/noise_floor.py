@@ -112,7 +112,7 @@ def noise_floor(surface: xr.Dataset, noise: float | xr.Dataset | NoiseFloor | No
     return given(scan, noise, float(surface.attrs.get("lambda_s", 0.0)))
 
 
-def beyond_rounding(floor: NoiseFloor, step: float) -> float:
+def noise_besides_rounding(floor: NoiseFloor, step: float) -> float:
     """Rms of the noise besides that of rounding heights to a ``step`` [um]; 0 where rounding explains the noise.
 
     Noise that was given is noise however uncertain it is.

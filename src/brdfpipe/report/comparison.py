@@ -125,7 +125,7 @@ def _cut(comparison: xr.Dataset) -> Figure | None:
     description = f"{title} of incidence: BRDF against the angle from the mirror direction"
     svg = chart(f"{description}, logarithmic", across, _log_axis(shown[shown > 0]), marks)
     ratio, ratio_u = 100 * (value / _positive(modelled) - 1), 100 * u / _positive(modelled)
-    scale, beyond = rig_fit.axis_about_zero("measured over model less 1, %", ratio.ravel(), ratio_u.ravel())
+    scale, note_of_outside = rig_fit.axis_about_zero("measured over model less 1, %", ratio.ravel(), ratio_u.ravel())
     differences: list[Mark] = [Line([across.low, across.high], [0.0, 0.0], "ref")]
     for model, own, error in zip(models, ratio, ratio_u, strict=True):
         style = _STYLES[model][0]
@@ -134,7 +134,7 @@ def _cut(comparison: xr.Dataset) -> Figure | None:
     note = (
         f"Cells within {_NEAR_PLANE:g}° of azimuth from the plane of incidence, {bsdf_sections.wavelength_words(comparison)}; models are "
         "drawn through their values at the same cells. Below: measured over model less 1, in the colour of the model; bars: "
-        f"±\u202f1 standard uncertainty of the measurement.{beyond}"
+        f"±\u202f1 standard uncertainty of the measurement.{note_of_outside}"
     )
     return Figure(title, svg, legend(marks), note)
 

@@ -107,11 +107,11 @@ def uncertainty(
         result = result.assign_coords(shift_low=grid.low)
     unresolved = [unresolved_rms_height(one.psd) for one in given]
     if any(unresolved):
-        result = result.assign(_of_unresolved(bsdf, unresolved[0], unresolved[-1]))
+        result = result.assign(_of_finer_roughness(bsdf, unresolved[0], unresolved[-1]))
     return vocabulary.label(result.assign_attrs({NOT_STATED: ", ".join(missing)}), "uncertainty")
 
 
-def _of_unresolved(bsdf: xr.Dataset, front: float, back: float) -> Fields:
+def _of_finer_roughness(bsdf: xr.Dataset, front: float, back: float) -> Fields:
     """Error of the light in the lobes of both sides, where a plateau of the spectrum of a face may be roughness of an rms height [um], finer than the scan.
 
     As of an opaque body it takes 1 − e^(−g) of the light at 550 nm, and scatters it so far that the rest is taken as unchanged. Light that passes

@@ -212,9 +212,9 @@ def profiles(calibration: xr.Dataset) -> Figure:
     labels = {"c0": "mean over wavelengths", "c2": "wavelength that deviates most"}
     for curve, (style, label) in zip(shown, labels.items(), strict=True):
         marks += [Line(number_of_profile, curve, style), Points(number_of_profile, curve, style=style, label=label)]
-    beyond = np.asarray(violation, dtype=bool)
-    if beyond.any():
-        violations = np.where(beyond, shown, np.nan).ravel()
+    violated = np.asarray(violation, dtype=bool)
+    if violated.any():
+        violations = np.where(violated, shown, np.nan).ravel()
         marks.append(Points(np.tile(number_of_profile, 2), violations, style="c3", label="violation"))
     drawn = np.stack([low, high, shown])
     svg = chart(
@@ -224,7 +224,7 @@ def profiles(calibration: xr.Dataset) -> Figure:
         marks,
         height=260,
     )
-    return Figure(title, svg, legend(marks), _profile_note(calibration, beyond[0] | beyond[1]))
+    return Figure(title, svg, legend(marks), _profile_note(calibration, violated[0] | violated[1]))
 
 
 def _profile_note(calibration: xr.Dataset, violation: NDArray[np.bool_]) -> str:

@@ -119,8 +119,8 @@ def axis_about_zero(label: str, values: Array, u: Array, *, least: float = 0.0) 
     usual = _OUTLYING * float(np.percentile(np.r_[size + bar, least], 90))
     ends = np.r_[(size + bar)[size + bar <= usual], least]
     top = 1.08 * float(np.clip(ends.max(), 1.0, 100.0))
-    beyond, cut = int((size > top).sum()), int(((size <= top) & (size + bar > top)).sum())
-    words = [f"{beyond} value{'s' if beyond > 1 else ''}"] if beyond else []
+    outside, cut = int((size > top).sum()), int(((size <= top) & (size + bar > top)).sum())
+    words = [f"{outside} value{'s' if outside > 1 else ''}"] if outside else []
     words += [f"ends of {cut} bar{'s' if cut > 1 else ''}"] if cut else []
     return Axis(label, -top, top), f" Outside the range of the lower chart: {', '.join(words)}." if words else ""
 
