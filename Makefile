@@ -64,9 +64,10 @@ accuracy: $(VENV)/.runtime  ## compare every model of a surface with reference s
 extremes: $(VENV)/.dev  ## run every stage at the extremes of its inputs; write docs/extremes.md (two minutes)
 	@$(BIN)/python benchmarks/extremes.py
 
-tradeoff: $(VENV)/.dev  ## measure error and cost of every candidate model for every scene (an hour)
+tradeoff: $(VENV)/.dev  ## measure error and cost of every candidate model for every scene, and of every other choice (an hour)
 	@$(BIN)/python benchmarks/tradeoff.py
 	@$(BIN)/python benchmarks/pareto_fronts.py
+	@$(BIN)/python benchmarks/choices.py
 
 rig-accuracy: $(VENV)/.runtime  ## measure samples of known BSDF with emulated rigs; write docs/rig-accuracy.md (some minutes)
 	@$(BIN)/python benchmarks/rig_accuracy.py
