@@ -12,8 +12,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import json
 import platform
-import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +25,7 @@ import resolution_choices
 import rig_choices
 import surface_choices
 from choice_table import Choice, summary_of_sources, table
+from pages import renewed
 from previous import LESS_ACCURATE, SLOWER, compare
 
 PROJECT = Path(__file__).resolve().parents[1]
@@ -68,7 +68,7 @@ def main(only: tuple[str, ...], record: Path, page: Path) -> None:
     machine = f"{platform.machine()}, Python {platform.python_version()}, numpy {np.__version__}, one core"
     summary: Record = {"machine": machine, "choices": choices}
     record.write_text(json.dumps(summary, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
-    page.write_text(with_tables(page.read_text(encoding="utf-8"), tables(summary)), encoding="utf-8")
+    page.write_text(with_tables(page.read_text(encoding="utf-8"), summary), encoding="utf-8")
     click.echo("\n".join(_against_before(summary)))
 
 
@@ -98,13 +98,9 @@ def _against_before(summary: Record) -> list[str]:
     return [f"These became {limits}:", "", *(f"- {text}" for text in worse)]
 
 
-def with_tables(page: str, lines: Sequence[str]) -> str:
+def with_tables(page: str, summary: Record) -> str:
     """The page with its tables renewed."""
-    start, end = "<!-- choices -->\n", "<!-- end of choices -->"
-    found = re.search(f"{start}.*?{end}", page, flags=re.DOTALL)
-    if found is None:
-        raise click.ClickException(f"the page has no place for the tables, between {start.strip()} and {end}")
-    return page[: found.start()] + start + "\n" + "\n".join(lines) + "\n\n" + end + page[found.end() :]
+    return renewed(page, "choices", "\n".join(["", *tables(summary), ""]))
 
 
 if __name__ == "__main__":
