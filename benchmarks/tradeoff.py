@@ -74,7 +74,7 @@ FRESH: Mapping[str, Mapping[str, Any]] = {"glare": {"n": 10_240, "seed": 1}}
 """Options of metrics of directions where the choice is tested: at others, and more of them."""
 FAR_OFF = 3.0
 """Error over the tolerance from which more directions do not change that a model is not accepted."""
-REPEATS, ENOUGH = 3, 0.8
+REPEATS, ENOUGH = 2, 0.4
 """Most builds of a candidate, and the time [s] after which no other one follows."""
 RENDERED = 3
 """One in so many random materials is rendered: pictures cost more than all other metrics together."""
