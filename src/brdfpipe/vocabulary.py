@@ -449,18 +449,23 @@ QUANTITIES: Mapping[str, Quantity] = {
     "picture": Quantity("1", "sRGB picture of a material", 0, 255),
     "srgb": Quantity("1", "sRGB preview colour", 0, 1, missing=True),
     # Plan of a scene
+    "expected_error": Quantity(
+        "1",
+        "error of a candidate that is expected from other materials, in the unit of the scene's metric; missing where too few were tried",
+        0,
+        missing=True,
+    ),
     "error_bound": Quantity(
         "1",
-        "bound of the error of a candidate, in the unit of the scene's metric; missing where too few like materials were tried",
+        "error below which that of a candidate is with 99 % certainty, in the unit of the scene's metric; missing where too few were tried",
         0,
         missing=True,
     ),
     "expected_cost": Quantity(
-        "s", "processor time that the model of a candidate takes for like materials", 0, missing=True
+        "s", "processor time of the model of a candidate that is expected from other materials", 0, missing=True
     ),
-    "similar_materials": Quantity("1", "number of like materials on which a candidate was tried", 0),
     "chosen": Quantity("1", "whether the candidate was chosen", 0, 1),
-    "feature_value": Quantity("1", "feature by which materials resemble each other"),
+    "feature_value": Quantity("1", "feature of a material from which errors of models are expected"),
     # Camera rig
     "counts": Quantity("1", "counts of the camera", 0),
     "shot": Quantity("1", "number of an exposure in its plan", 1),
@@ -537,7 +542,7 @@ _CANDIDATE: Sequence[tuple[str, ...]] = [("candidate",)]
 KINDS: Mapping[str, Kind] = {
     "plan": Kind(
         {
-            **dict.fromkeys(("error_bound", "expected_cost", "similar_materials", "chosen"), _CANDIDATE),
+            **dict.fromkeys(("expected_error", "error_bound", "expected_cost", "chosen"), _CANDIDATE),
             "feature_value": [("feature",)],
         },
         attributes=("scene", "metric", "unit", "tolerance", "choice"),

@@ -1,35 +1,36 @@
 """Errors that were measured on other materials."""
 
+import numpy as np
 import pytest
-from tried_models import FACETS, ORIGIN, known
+from tried_models import FACETS, SLOPES, known
 
 from brdfpipe.errors import BrdfpipeError
 from brdfpipe.scenes import experience
-from brdfpipe.scenes.experience import Experience, Known
-from brdfpipe.scenes.ladders import Candidate
+from brdfpipe.scenes.error_regression import LEAST
+from brdfpipe.scenes.experience import Experience
+from brdfpipe.scenes.ladders import FULLEST, Candidate
 
 
-def test_the_nearest_materials_come_first_and_distant_ones_not_at_all():
-    near = known(2.0, 0.5, 1.0, 9.0).nearest(ORIGIN, FACETS, 2.5)
-    assert [round(away, 9) for away, _ in near] == [0.5, 1.0, 2.0]
-    assert [trial.error for _, trial in near] == [0.5, 1.0, 2.0]
+def test_a_candidate_that_was_tried_on_few_materials_has_no_regression():
+    assert known(*SLOPES).error(Candidate(optics="wave")) is None
+    assert known(*SLOPES[: LEAST - 1]).error(FACETS) is None
+    assert known(*SLOPES[:LEAST]).error(FACETS) is not None
 
 
-def test_a_candidate_that_was_not_tried_has_no_neighbours():
-    assert known(0.5).nearest(ORIGIN, Candidate(optics="wave"), 2.5) == []
+def test_errors_below_what_counts_are_equal():
+    of_fullest = Experience("gloss", "digest", known(*SLOPES).materials, least_error=0.01).error(FULLEST)
+    assert of_fullest is not None
+    assert np.exp(of_fullest.logarithms) == pytest.approx(0.01)
 
 
 def test_a_file_gives_back_what_was_written(tmp_path):
-    path = tmp_path / "gloss.json"
-    known(0.5, 1.0).write(path)
-    assert experience.read(path) == Experience(
-        "gloss",
-        "digest",
-        tuple(
-            Known(one.name, {k: round(v, 4) for k, v in one.features.items()}, one.trials)
-            for one in known(0.5, 1.0).materials
-        ),
-    )
+    path, written = tmp_path / "gloss.json", known(*SLOPES)
+    written.write(path)
+    found = experience.read(path)
+    assert found.parameters == written.parameters
+    assert [one.name for one in found.materials] == [one.name for one in written.materials]
+    before, after = (one.error(FACETS).at([0.1] * 8) for one in (written, found))
+    assert after == pytest.approx(before, abs=5e-3)  # numbers have three digits
 
 
 @pytest.mark.parametrize(
@@ -38,7 +39,8 @@ def test_a_file_gives_back_what_was_written(tmp_path):
         "",
         "[]",
         "{}",
-        '{"metric": "gloss", "scene": "", "materials": [{"name": "a", "features": {}, "trials": {"x": [1, 2]}}]}',
+        '{"metric": "gloss", "scene": "", "least_error": 1, "parameters": {}, "materials": '
+        '[{"name": "a", "features": {}, "trials": {"x": [1, 2]}}]}',
     ],
 )
 def test_another_file_is_refused(tmp_path, text):

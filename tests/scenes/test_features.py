@@ -10,7 +10,7 @@ import samples
 from brdfpipe.facets.analytic_distributions import analytic
 from brdfpipe.facets.estimation import estimate
 from brdfpipe.optics.index import refractive_index
-from brdfpipe.scenes.features import FEATURES, distance, features, slope_lowness
+from brdfpipe.scenes.features import FEATURES, features, in_spreads, slope_lowness
 from brdfpipe.scenes.model_inputs import ModelInputs
 
 
@@ -45,6 +45,13 @@ def test_like_materials_are_near_and_a_metal_is_far_from_a_plastic():
     plastic = ModelInputs(refractive_index(1.5), samples.spectrum(0.3), estimate(samples.gaussian_surface(128)))
     other = replace(plastic, index=refractive_index(1.52))
     metal = replace(plastic, index=refractive_index({"n": 0.2, "k": 4}), spectrum=None)
-    assert distance(features(plastic), features(plastic)) == 0
-    assert distance(features(plastic), features(other)) < 0.2
-    assert distance(features(plastic), features(metal)) > 3
+    of_plastic, of_other, of_metal = (in_spreads(features(one)) for one in (plastic, other, metal))
+    assert np.linalg.norm(of_plastic - of_other) < 0.2
+    assert np.linalg.norm(of_plastic - of_metal) > 2
+
+
+@pytest.mark.parametrize(("name", "tail"), [("beckmann", np.log(20) / np.log(2)), ("ggx", 19.0)])
+def test_the_tail_is_the_slope_that_5_percent_exceed_also_where_no_mean_square_exists(name, tail):
+    inputs = ModelInputs(refractive_index(1.5), None, analytic(name, a=0.2))
+    # The rule of the density has nodes, between which the share of the facets is interpolated.
+    assert features(inputs)["tail"] == pytest.approx(np.log(tail) / 2, rel=0.01)

@@ -83,8 +83,12 @@ class RadialDensity:
     @cached_property
     def median_slope(self) -> float:
         """The slope magnitude that half of the facets exceed: a width that exists for every density."""
+        return self.slope_quantile(0.5)
+
+    def slope_quantile(self, share: float) -> float:
+        """The slope magnitude that a share of the facets, 0 to 1, does not exceed."""
         s, weight = self.rule()
-        return float(np.interp(0.5 * weight.sum(), np.cumsum(weight), s))
+        return float(np.interp(share * weight.sum(), np.cumsum(weight), s))
 
 
 @cached_by_content(16)

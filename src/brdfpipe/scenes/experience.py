@@ -6,15 +6,17 @@
 from __future__ import annotations
 
 import json
-import statistics
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+
+import numpy as np
 
 from brdfpipe import store
 from brdfpipe.errors import BrdfpipeError
-from brdfpipe.scenes.features import distance
-from brdfpipe.scenes.ladders import LADDERS, Candidate
+from brdfpipe.scenes.error_regression import LEAST, Regression, expected_parameters
+from brdfpipe.scenes.features import in_spreads
+from brdfpipe.scenes.ladders import FULLEST, LADDERS, Candidate
 
 
 @dataclass(frozen=True)
@@ -38,6 +40,13 @@ class Known:
     """What the fullest candidate errs by at least against rays or diffraction on the height map, in the unit of the metric; None where unknown"""
 
 
+NEGLIGIBLE = 0.01
+"""Error over the tolerance of the scene, below which errors count as equal."""
+
+MODEL_ERROR = "model error"
+"""Key of the parameters of :attr:`Known.model_error`."""
+
+
 @dataclass(frozen=True)
 class Experience:
     """Materials on which the candidates of a scene were tried."""
@@ -46,24 +55,54 @@ class Experience:
     scene: str
     """Digest of what of the scene changes errors: domain, bands and polarisation"""
     materials: tuple[Known, ...] = ()
+    least_error: float = 1e-6
+    """Errors below it count as it, in the unit of the metric"""
+    parameters: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+    """Parameters of the regression of each quantity; those that are expected where a quantity has none"""
 
-    def nearest(self, features: Mapping[str, float], candidate: Candidate, radius: float) -> list[tuple[float, Trial]]:
-        """Distance and trial of the materials within a radius on which the candidate was tried, the nearest first."""
-        found = [
-            (distance(features, known.features), known.trials[candidate])
-            for known in self.materials
-            if candidate in known.trials
-        ]
-        return sorted((pair for pair in found if pair[0] <= radius), key=lambda pair: pair[0])
+    def error(self, candidate: Candidate) -> Regression | None:
+        """Regression of the error of a candidate; None where it was tried on too few materials."""
+        return self._regression(
+            f"error {candidate.key}", self.tried(candidate), lambda known: known.trials[candidate].error
+        )
 
-    def model_error(self, features: Mapping[str, float], radius: float, least: int) -> float:
-        """Median of what the fullest model itself errs by at least on like materials; 0 where it is known of fewer than ``least``."""
-        found = [
-            known.model_error
-            for known in self.materials
-            if known.model_error is not None and distance(features, known.features) <= radius
-        ]
-        return statistics.median(found) if len(found) >= least else 0.0
+    def cost(self, candidate: Candidate) -> Regression | None:
+        """Regression of the cost of a candidate; None where it was tried on too few materials."""
+        return self._regression(
+            f"cost {candidate.key}", self.tried(candidate), lambda known: known.trials[candidate].cost
+        )
+
+    @property
+    def model_error(self) -> Regression | None:
+        """Regression of what the fullest model itself errs by at least; None where it is known of too few materials."""
+        judged = [known for known in self.materials if known.model_error is not None]
+        return self._regression(MODEL_ERROR, judged, lambda known: known.model_error or 0.0)
+
+    def tried(self, candidate: Candidate) -> list[Known]:
+        """The materials on which a candidate was tried."""
+        return [known for known in self.materials if candidate in known.trials]
+
+    def fitted(self) -> Experience:
+        """With the parameters of the regressions fitted to the materials."""
+        candidates = dict.fromkeys(candidate for known in self.materials for candidate in known.trials)
+        found: dict[str, tuple[float, ...]] = {}
+        for key, regression in (
+            *((f"error {one.key}", self.error(one)) for one in candidates if one != FULLEST),
+            *((f"cost {one.key}", self.cost(one)) for one in candidates),
+            (MODEL_ERROR, self.model_error),
+        ):
+            if regression is not None:
+                fitted = Regression.fitted(regression.features, np.exp(regression.logarithms))
+                found[key] = tuple(round(value, 3) for value in fitted.parameters)
+        return replace(self, parameters=found)
+
+    def _regression(self, key: str, materials: Sequence[Known], value: Callable[[Known], float]) -> Regression | None:
+        if len(materials) < LEAST:
+            return None
+        features = np.stack([in_spreads(known.features) for known in materials])
+        least = 0.0 if key.startswith("cost") else self.least_error
+        logarithms = np.log([max(value(known), least) for known in materials])
+        return Regression(features, logarithms, self.parameters.get(key, expected_parameters(features.shape[1])))
 
     def write(self, path: Path) -> None:
         """Write the file, whole or not at all."""
@@ -80,8 +119,9 @@ class Experience:
             for known in self.materials
         ]
         lines = ",\n".join(json.dumps(row) for row in rows)
-        head = json.dumps({"metric": self.metric, "scene": self.scene})[:-1]
-        store.write_text(path, f'{head}, "materials": [\n{lines}\n]}}\n')
+        parameters = ",\n".join(f"{json.dumps(key)}: {json.dumps(values)}" for key, values in self.parameters.items())
+        head = json.dumps({"metric": self.metric, "scene": self.scene, "least_error": self.least_error})[:-1]
+        store.write_text(path, f'{head}, "parameters": {{\n{parameters}\n}}, "materials": [\n{lines}\n]}}\n')
 
 
 NONE = Experience("", "")
@@ -106,7 +146,8 @@ def read(path: Path) -> Experience:
             )
             for row in content["materials"]
         )
-        return Experience(content["metric"], content["scene"], materials)
+        parameters = {key: tuple(map(float, values)) for key, values in content["parameters"].items()}
+        return Experience(content["metric"], content["scene"], materials, float(content["least_error"]), parameters)
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise BrdfpipeError(
             f"{path}: is not a file of measured errors ({error}); write it anew with `make tradeoff`"

@@ -1,4 +1,4 @@
-"""Numbers by which materials resemble each other: how they scatter follows from these, before any BSDF is built."""
+"""Numbers from which the error of a model for a material can be expected, before any BSDF is built."""
 
 from __future__ import annotations
 
@@ -15,16 +15,19 @@ from brdfpipe.optics.index import interpolate_index
 from brdfpipe.scenes.model_inputs import ONE_WAVELENGTH, ModelInputs
 
 FEATURES = {
-    "log_slope": 0.35,
-    "tail": 0.15,
-    "log_height": 0.5,
-    "slope_lowness": 0.08,
-    "height_skewness": 0.6,
-    "log_anisotropy": 0.35,
-    "log_mirror": 0.5,
+    "log_slope": 1.5,
+    "tail": 0.1,
+    "log_height": 1.8,
+    "slope_lowness": 0.15,
+    "height_skewness": 0.3,
+    "log_anisotropy": 0.4,
+    "log_mirror": 1.0,
     "diffuse": 0.25,
 }
-"""Feature → the difference that counts as 1. Beyond a distance of some units materials do not resemble each other."""
+"""Feature → its usual spread over materials."""
+
+STEEP = 0.95
+"""Share of the facets that are less steep than the slope that shows the tail."""
 
 _LARGEST_HEIGHT = 3.0
 """Rms height over the wavelength beyond which coherent light is nothing at any angle, [1]."""
@@ -34,7 +37,7 @@ def features(inputs: ModelInputs) -> dict[str, float]:
     """The features of a material with slopes.
 
     - ``log_slope``: ln of the median slope of the facets
-    - ``tail``: ln of the rms slope over the median slope
+    - ``tail``: ln of the slope that 5 % of the facets exceed over the median slope
     - ``log_height``: ln of the rms height over 555 nm, at most 3; 0 without a roughness spectrum
     - ``slope_lowness``: correlation of height and squared slope on the map: negative, where steep facets lie in valleys; 0 without a map
     - ``height_skewness``: Ssk of the map, -2 to 2
@@ -50,7 +53,7 @@ def features(inputs: ModelInputs) -> dict[str, float]:
     n, k = (float(value[0]) for value in interpolate_index(index, np.array([ONE_WAVELENGTH])))
     result = dict.fromkeys(FEATURES, 0.0)
     result["log_slope"] = math.log(slope)
-    result["tail"] = min(math.log(max(float(facets["slope_rms"]), 1e-9) / slope), 3.0)
+    result["tail"] = math.log(density.slope_quantile(STEEP) / slope)
     if inputs.psd is not None:
         height = max(float(inputs.psd["sigma_heights"]), 1e-4) / (1e-3 * ONE_WAVELENGTH)
         result["log_height"] = math.log(min(height, _LARGEST_HEIGHT))
@@ -81,6 +84,6 @@ def slope_lowness(heights: Array) -> float:
     return float(np.corrcoef(a, b)[0, 1])
 
 
-def distance(one: Mapping[str, float], other: Mapping[str, float]) -> float:
-    """How much two materials differ: root of the sum of squares of their features' differences in the units of :data:`FEATURES`."""
-    return math.sqrt(sum(((one[name] - other[name]) / unit) ** 2 for name, unit in FEATURES.items()))
+def in_spreads(features: Mapping[str, float]) -> Array:
+    """The features in units of their spread, in the order of :data:`FEATURES`."""
+    return np.array([features[name] / spread for name, spread in FEATURES.items()])

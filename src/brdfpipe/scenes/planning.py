@@ -1,12 +1,13 @@
 """The cheapest model that a scene allows for a material.
 
 The error of a candidate on this material is not known before both it and the fullest model are built, which costs more than it saves. It is
-bounded by the errors of the same candidate on materials with like features (:mod:`brdfpipe.scenes.experience`). Where too few
-resemble the material, nothing is assumed and the fullest model is taken.
+bounded by a regression of the errors that the same candidate had on other materials (:mod:`brdfpipe.scenes.experience`). Where none of
+these resembles the material, the bound is wide and the fullest model is taken.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
@@ -15,22 +16,14 @@ import xarray as xr
 
 from brdfpipe import vocabulary
 from brdfpipe.errors import BrdfpipeError
+from brdfpipe.scenes.error_regression import Prediction
 from brdfpipe.scenes.experience import NONE, Experience
-from brdfpipe.scenes.features import features
+from brdfpipe.scenes.features import features, in_spreads
 from brdfpipe.scenes.ladders import FULLEST, LADDERS, Candidate
 from brdfpipe.scenes.model_inputs import ModelInputs
 
-RADIUS = 2.5
-"""Distance of features within which materials resemble each other."""
-
-LEAST_NEIGHBOURS = 4
-"""Materials that must resemble a material before their errors count."""
-
-MOST_NEIGHBOURS = 12
-"""Nearest materials whose errors count."""
-
-MARGIN = 1.3
-"""Factor by which the largest of their errors is enlarged."""
+CERTAINTY = 2.33
+"""Standard deviations of the regression above the expected error, at which its bound is: 99 % of normal errors are below."""
 
 
 class ToleranceError(BrdfpipeError):
@@ -41,32 +34,38 @@ class Judged(NamedTuple):
     """A candidate for a material."""
 
     candidate: Candidate
-    error: float
-    """Bound of its error; infinite where too few materials resemble this one"""
+    expected_error: float
+    """Infinite where it was tried on too few materials"""
+    bound: float
+    """Of its error, with 99 % certainty; infinite where it was tried on too few materials"""
     cost: float
     """Expected processor time of its build [s]; NaN where it is not known"""
-    neighbours: int
 
 
 def judge(candidates: Sequence[Candidate], features: Mapping[str, float], experience: Experience) -> list[Judged]:
-    """Bounds of the errors of candidates, and their expected costs, from materials with like features.
+    """Errors of candidates with their bounds, and their costs, expected from other materials.
 
-    The fullest candidate leaves nothing out: its error is 0, and it needs no likeness.
+    The fullest candidate leaves nothing out: its error is 0.
     """
-    judged = []
-    for candidate in candidates:
-        near = experience.nearest(features, candidate, RADIUS)[:MOST_NEIGHBOURS]
-        trials = [trial for _, trial in near]
-        cost = float(np.median([trial.cost for trial in trials])) if trials else np.nan
-        enough = len(trials) >= LEAST_NEIGHBOURS
-        error = MARGIN * max(trial.error for trial in trials) if enough else np.inf
-        judged.append(Judged(candidate, 0.0 if candidate == FULLEST else error, cost, len(trials)))
-    return judged
+    at = in_spreads(features).tolist()
+    errors = {one: regression.at(at) for one in candidates if (regression := experience.error(one))}
+    costs = {one: regression.at(at) for one in candidates if (regression := experience.cost(one))}
+    return [judgement(one, errors.get(one), costs.get(one)) for one in candidates]
+
+
+def judgement(candidate: Candidate, error: Prediction | None, cost: Prediction | None) -> Judged:
+    """A candidate whose error and cost are expected to be these; None where they are not known."""
+    seconds = math.nan if cost is None else cost.bound(0.0)
+    if candidate == FULLEST:
+        return Judged(candidate, 0.0, 0.0, seconds)
+    if error is None:
+        return Judged(candidate, math.inf, math.inf, seconds)
+    return Judged(candidate, error.bound(0.0), error.bound(CERTAINTY), seconds)
 
 
 def chosen(judged: Sequence[Judged], tolerance: float) -> Judged:
     """The cheapest candidate whose error is within the tolerance; the fullest one where no other is."""
-    allowed = [one for one in judged if one.error <= tolerance and np.isfinite(one.cost)]
+    allowed = [one for one in judged if one.bound <= tolerance and np.isfinite(one.cost)]
     fullest = next(one for one in judged if one.candidate == FULLEST)
     return min(allowed, key=lambda one: one.cost, default=fullest)
 
@@ -84,22 +83,22 @@ def plan(
 
     Returns
     -------
-    Dataset of kind ``plan``: ``error_bound(candidate)`` in the unit of the metric, ``expected_cost(candidate)`` [s], the number of
-    ``similar_materials(candidate)``, and which is ``chosen``; the rungs of each candidate; the features of the material
+    Dataset of kind ``plan``: ``expected_error(candidate)`` and ``error_bound(candidate)`` in the unit of the metric,
+    ``expected_cost(candidate)`` [s], and which is ``chosen``; the rungs of each candidate; the features of the material
 
     Raises
     ------
-    ToleranceError : the fullest model misses the tolerance on like materials.
+    ToleranceError : the fullest model misses the tolerance with 99 % certainty, by what it missed on other materials.
     """
     usable = experience if (experience.metric, experience.scene) == (metric, errors_of) else NONE
     found = features(inputs)
     judged = judge(inputs.structures, found, usable)
     choice = chosen(judged, tolerance)
-    best = usable.model_error(found, RADIUS, LEAST_NEIGHBOURS)
-    if best > tolerance:
+    of_model = None if usable.model_error is None else usable.model_error.at(in_spreads(found).tolist())
+    if of_model is not None and of_model.bound(-CERTAINTY) > tolerance:
         raise ToleranceError(
             f"scene {scene!r}: the tolerance {tolerance:g} {unit} of the metric {metric!r} is not achievable: on like materials the fullest model "
-            f"errs by at least {best:.2g} {unit}; raise `tolerance` to that, or set `model: fullest`"
+            f"errs by about {of_model.bound(0.0):.2g} {unit}; raise `tolerance` to that, or set `model: fullest`"
         )
     result = plan_dataset(judged, choice, found, scene=scene, metric=metric, unit=unit, tolerance=tolerance)
     return vocabulary.add_history(
@@ -111,10 +110,13 @@ def _reason(choice: Judged, judged: Sequence[Judged], experience: Experience, to
     if not experience.materials:
         return "no errors were measured for this scene; `make tradeoff` measures those of the shipped scenes"
     if choice.candidate != FULLEST:
-        return f"it errs by at most {choice.error:.2g} {unit} on {choice.neighbours} like materials, and {tolerance:g} {unit} is accepted"
-    if all(one.neighbours < LEAST_NEIGHBOURS for one in judged):
-        return f"fewer than {LEAST_NEIGHBOURS} of the {len(experience.materials)} materials tried resemble this one"
-    return f"no cheaper one errs by less than {tolerance:g} {unit} on like materials"
+        return (
+            f"its error is expected to be {choice.expected_error:.2g} {unit}, and below {choice.bound:.2g} {unit} with 99 % certainty; "
+            f"{tolerance:g} {unit} is accepted"
+        )
+    if all(math.isinf(one.bound) for one in judged if one.candidate != FULLEST):
+        return f"no other model was tried on enough of the {len(experience.materials)} materials"
+    return f"of no cheaper one the error is below {tolerance:g} {unit} with 99 % certainty"
 
 
 def chosen_candidate(plan: xr.Dataset) -> Candidate:
@@ -130,9 +132,9 @@ def plan_dataset(
     rungs = {name: ("candidate", [one.candidate.rungs[name] for one in judged]) for name in LADDERS}
     dataset = xr.Dataset(
         {
-            "error_bound": ("candidate", [one.error if np.isfinite(one.error) else np.nan for one in judged]),
+            "expected_error": ("candidate", [_finite(one.expected_error) for one in judged]),
+            "error_bound": ("candidate", [_finite(one.bound) for one in judged]),
             "expected_cost": ("candidate", [one.cost for one in judged]),
-            "similar_materials": ("candidate", [one.neighbours for one in judged]),
             "chosen": ("candidate", [int(one is choice) for one in judged]),
             "feature_value": ("feature", list(features.values())),
         },
@@ -140,3 +142,7 @@ def plan_dataset(
         attrs={**attributes, "choice": str(choice.candidate)},
     )
     return vocabulary.label(dataset, "plan")
+
+
+def _finite(value: float) -> float:
+    return value if math.isfinite(value) else math.nan

@@ -23,7 +23,14 @@ def plan_section(datasets: Mapping[str, xr.Dataset]) -> Section:
     order = np.argsort(np.where(np.isnan(costs), np.inf, costs), kind="stable")
     rows = [_row(plan, int(at)) for at in order]
     unit, tolerance = plan.attrs["unit"], float(plan.attrs["tolerance"])
-    columns = ("Model, by what it leaves out", f"Error, at most [{unit}]", "Processor time [s]", "Like materials", "")
+    of_unit = "" if unit == "1" else f" [{unit}]"
+    columns = (
+        "Model, by what it leaves out",
+        f"Expected error{of_unit}",
+        f"Below, 99 % certain{of_unit}",
+        "Processor time [s]",
+        "",
+    )
     accepted = (
         f"The scene {plan.attrs['scene']} accepts an error of {tolerance:g} {unit}, metric {plan.attrs['metric']}. "
     )
@@ -34,12 +41,9 @@ def plan_section(datasets: Mapping[str, xr.Dataset]) -> Section:
 
 def _row(plan: xr.Dataset, at: int) -> tuple[str, ...]:
     candidate = Candidate(**{name: str(plan[f"rung_{name}"].values[at]) for name in LADDERS})
-    error, cost = (float(plan[name].values[at]) for name in ("error_bound", "expected_cost"))
-    neighbours = int(plan["similar_materials"].values[at])
+    values = (float(plan[name].values[at]) for name in ("expected_error", "error_bound", "expected_cost"))
     return (
         str(candidate),
-        MISSING if np.isnan(error) else f"{error:.2g}",
-        MISSING if np.isnan(cost) else f"{cost:.2g}",
-        str(neighbours),
+        *(MISSING if np.isnan(value) else f"{value:.2g}" for value in values),
         "chosen" if plan["chosen"].values[at] else "",
     )
