@@ -89,7 +89,7 @@ class Model:
             spectral("n"),
             spectral("k"),
             str(bsdf.attrs["diffuse_mode"]),
-            spectral("diffuse"),
+            spectral("diffuse") if "diffuse" in bsdf.variables else np.zeros(1),
             AlbedoTable(theta, spectral("directional_albedo"), phi, ellipse, _pieces(second, phi)),
             spectral("mean_albedo"),
             None if furnace is None else AlbedoTable(theta, furnace.values[..., None], phi, ellipse),

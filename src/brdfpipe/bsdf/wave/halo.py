@@ -20,7 +20,7 @@ Scattering from Rough Surfaces, ch. 5.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import NamedTuple
 
@@ -170,24 +170,38 @@ class Halo:
     @classmethod
     def of(cls, bsdf: xr.Dataset, *, by_order: bool = False) -> Halo:
         """The halo of a ``bsdf`` dataset, representation ``wave``; ``by_order``: higher orders reflect as tilted facets."""
-        phase, frequency = bsdf["phase_variance"].values, bsdf["halo_frequency"].values
-        scale = float(bsdf["frequency_scale"])
+        names = ("log_halo", "phase_variance", "halo_frequency", "frequency_scale", "sigma")
+        values, phase, frequency, scale, sigma = (bsdf.variables[name].values for name in names)
+        halo = cls.of_table(values, phase, frequency, scale, sigma, form=str(bsdf.attrs["form"]), by_order=by_order)
         lay = "halo_azimuth" in bsdf.dims
-        values = bsdf["log_halo"].values
+        stretch = Stretch(float(bsdf["halo_lay"]), float(bsdf["halo_stretch"])) if lay else None
+        return replace(halo, spectrum=_closed_form(bsdf), stretch=stretch)
+
+    @classmethod
+    def of_table(
+        cls,
+        values: Array,
+        phase: Array,
+        frequency: Array,
+        scale: Array,
+        sigma: Array,
+        form: str,
+        by_order: bool = False,
+    ) -> Halo:
+        """From ``log_halo`` over ``phase_variance`` and ``halo_frequency``, with ``frequency_scale`` and the rms height [um]."""
         if by_order:
             spline, first_order = _splines_by_order(values, phase, frequency)
         else:
             spline, first_order = _spline(values), None
         return cls(
-            float(bsdf["sigma"]),
-            str(bsdf.attrs["form"]),
+            float(sigma),
+            form,
             spline,
             float(np.log(phase[0])),
             float(np.log(phase[-1] / phase[0])) / (phase.size - 1),
-            scale,
+            float(scale),
             float(np.arcsinh(frequency[-1] / scale)) / (frequency.size - 1),
-            _closed_form(bsdf),
-            Stretch(float(bsdf["halo_lay"]), float(bsdf["halo_stretch"])) if lay else None,
+            None,
             first_order=first_order,
         )
 
@@ -320,6 +334,7 @@ def _first_order_share(log_transform: Array, phase: Array, frequency: Array) -> 
     return np.clip(np.maximum(of_order, once), _LEAST_FIRST_ORDER, 1.0)
 
 
+@cached_by_content(8)
 def _spline(values: Array) -> Array:
     """Coefficients of a cubic spline over phase variance and frequency, and around half a turn of azimuth if there is one."""
     return _periodic_spline(values) if values.ndim == 3 else np.asarray(spline_filter(values, order=3, mode="mirror"))

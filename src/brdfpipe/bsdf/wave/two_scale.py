@@ -124,12 +124,12 @@ def characteristic_function(density: RadialDensity) -> Callable[[Array], Array]:
 def facet_bsdf(bsdf: xr.Dataset) -> xr.Dataset:
     """The BSDF of the facets that a ``bsdf`` dataset of representation ``wave`` holds, without a diffuse part."""
     names = [name for name in (*Microfacet.kind.required, *Microfacet.kind.optional) if name in bsdf]
-    facets = bsdf[names]
+    facets = bsdf[names].drop_vars("diffuse", errors="ignore")
     if "mixture" in bsdf:
         facets = facets.rename(mixed="wavelength").assign_coords(wavelength=bsdf["mixed_wavelength"].values)
     attributes = {name: bsdf.attrs[name] for name in ("masking", "multiple_scattering", "transmission")}
     facets.attrs = {"representation": Microfacet.name, "diffuse_mode": "none", **attributes}
-    return facets.assign(diffuse=0.0)
+    return facets
 
 
 @dataclass(frozen=True)
@@ -182,10 +182,9 @@ def mirror_lobe(surface: Microsurface, fine: Halo, angles: Angles, wavelength: f
 def _fine_halo(bsdf: xr.Dataset) -> Halo | None:
     if "log_fine_halo" not in bsdf:
         return None
-    names = {"log_fine_halo": "log_halo", "fine_phase_variance": "phase_variance", "fine_frequency": "halo_frequency"}
-    fine = bsdf[["log_fine_halo"]].rename(names).assign(frequency_scale=bsdf["fine_scale"], sigma=bsdf["fine_sigma"])
-    fine.attrs = {"form": "ssa1", "spectrum": "measured"}
-    return Halo.of(fine)
+    names = ("log_fine_halo", "fine_phase_variance", "fine_frequency", "fine_scale", "fine_sigma")
+    values, phase, frequency, scale, sigma = (bsdf.variables[name].values for name in names)
+    return Halo.of_table(values, phase, frequency, scale, sigma, form="ssa1")
 
 
 class EnergyClosure(NamedTuple):
