@@ -149,6 +149,25 @@ def test_the_error_of_the_model_is_that_of_the_light_the_surface_reflects():
     np.testing.assert_allclose(found.bsdf.albedo_uncertainty([8, 60]), 0)
 
 
+def test_that_the_map_is_finite_counts_once_in_the_light_of_a_region():
+    bsdf, steeper = beckmann_bsdf(0.2, reflectance=None), beckmann_bsdf(0.2 * 1.02, reflectance=None)
+    error, of_reference = model_error(0.03, 0.1, 0.4), model_error(0.05, 0.001, 0.0)
+    stated = uncertainty(bsdf, facets=uncertain_facets(1.02), relative_error=error, reference_light_u=of_reference)[
+        "relative_error"
+    ].sel(error_theta=30.0)
+    # The light in the peak, and how 2 % steeper slopes change it.
+    rule = hemisphere.around_mirror(30.0, 0.2)
+    at = np.full_like(rule.theta, 30.0), np.zeros_like(rule.theta), rule.theta, rule.phi, None
+    given, changed = (representation(one).evaluate(*at)[:, 0] for one in (bsdf, steeper))
+    weight = rule.weight * (given > 0.3 * given.max())
+    of_map = weight @ changed / (weight @ given) - 1
+    assert 0.01 < abs(of_map) < 0.05
+    assert np.hypot(stated.sel(region="peak"), of_map) == pytest.approx(np.hypot(0.03, 0.05), rel=0.02)
+    # Facets state more of the shoulder than the reference scatters.
+    assert stated.sel(region="shoulder") == pytest.approx(0.1)
+    assert stated.sel(region="rest") == pytest.approx(0.4)
+
+
 def test_beyond_the_last_known_incidence_the_error_of_the_model_is_stated_as_unknown():
     error = model_error(0.03, 0.1, 0.4)
     found = beside(beckmann_bsdf(0.1), relative_error=error.where(error["theta_i"] < 60), index=index_of(1.5, 0.01))

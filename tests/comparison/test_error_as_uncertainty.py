@@ -13,7 +13,7 @@ from brdfpipe import psd as roughness
 from brdfpipe.appearance.computation import compute_appearance
 from brdfpipe.bsdf import microfacet, wave
 from brdfpipe.bsdf.input_uncertainty import uncertainty
-from brdfpipe.comparison.error_as_uncertainty import LARGEST_ERROR, gloss_error, relative_error
+from brdfpipe.comparison.error_as_uncertainty import LARGEST_ERROR, gloss_error, relative_light_error
 from brdfpipe.comparison.model_error import model_error
 
 PLANES = ["along the lay", "across the lay"]
@@ -46,13 +46,15 @@ def compared(light: np.ndarray, reference: np.ndarray, valid: list[list[int]], r
 
 def test_relative_error_is_that_of_the_reference_that_holds_in_the_worse_plane():
     reference = np.array([[1.03, 0.96], [1.06, 1.08]])[:, :, None, None] * np.ones((1, 1, 2, 1))
-    error = relative_error(compared(np.ones(()), reference, [[1, 0], [1, 1]]))
-    assert error.dims == ("theta_i", "region")
-    np.testing.assert_allclose(error[:, 0], [np.hypot(0.04, 0.03 * 0.96), np.hypot(0.08, 0.03 * 1.08)])
+    found = relative_light_error(compared(np.ones(()), reference, [[1, 0], [1, 1]]))
+    assert found["relative_error"].dims == ("theta_i", "region")
+    # The prediction shares the map of diffraction, and not the rays.
+    np.testing.assert_allclose(found["relative_error"][:, 0], [np.hypot(0.04, 0.03 * 0.96), 0.08])
+    np.testing.assert_allclose(found["reference_light_u"][:, 0], [0.0, 0.03 * 1.08])
 
 
 def test_relative_error_is_missing_where_no_reference_holds():
-    error = relative_error(compared(np.ones(()), np.full((2, 2, 2, 1), 1.1), [[0, 1], [0, 0]]))
+    error = relative_light_error(compared(np.ones(()), np.full((2, 2, 2, 1), 1.1), [[0, 1], [0, 0]]))["relative_error"]
     assert error.isnull().values.ravel().tolist() == [True, False]
 
 
@@ -60,18 +62,18 @@ def test_relative_error_is_missing_where_no_reference_holds():
 def test_the_stated_error_covers_light_that_is_predicted_too_dark_or_too_bright(share):
     # A prediction of 0.2 of the light is wrong by 4 times what it predicts, not by 0.8 times.
     result = compared(np.full((1, 1, 1), share), np.ones((2, 1, 1, 1)), [[1], [1]], relative_u=0.0)
-    assert share * float(relative_error(result)[0, 0]) == pytest.approx(abs(1 - share))
+    assert share * float(relative_light_error(result)["relative_error"][0, 0]) == pytest.approx(abs(1 - share))
 
 
 def test_the_stated_error_is_bounded_where_hardly_any_light_is_predicted():
     result = compared(np.full((1, 1, 1), 1e-6), np.ones((2, 1, 1, 1)), [[1], [1]])
-    assert float(relative_error(result)[0, 0]) == LARGEST_ERROR
+    assert float(relative_light_error(result)["relative_error"][0, 0]) == LARGEST_ERROR
 
 
 def test_a_region_without_light_has_the_error_of_its_neighbour_and_no_incidence_is_dropped():
     light = np.array([[[1.0, 1.0, 0.0], [1.0, 1.0, 1.0], [1.0, 0.0, 0.0]]])
     reference = np.array([1.1, 1.2, 1.3]) * (light > 0) * np.ones((2, 1, 1, 1))
-    error = relative_error(compared(light, reference, [[1, 1, 1], [0, 0, 0]], relative_u=0.0))
+    error = relative_light_error(compared(light, reference, [[1, 1, 1], [0, 0, 0]], relative_u=0.0))["relative_error"]
     np.testing.assert_allclose(error, [[0.1, 0.2, 0.2], [0.1, 0.2, 0.3], [0.1, 0.1, 0.1]])
 
 
@@ -104,7 +106,7 @@ def predicted_gloss(parts: list[tuple[float, float]], pitch: float, seed: int) -
         predicted = microfacet.build(counted, index=1.5, multiple_scattering="none")
         bsdf = wave.build(psd, index=1.5, facets=counted, predicted=predicted, optics="auto", wavelength=[550.0])
     compared = model_error(scan, bsdf, counted)
-    errors = {"relative_error": relative_error(compared), "gloss_error": gloss_error(compared)}
+    errors = {**relative_light_error(compared).data_vars, "gloss_error": gloss_error(compared)}
     changes = uncertainty(bsdf, facets=counted, psd=psd, **errors)
     appearance = compute_appearance(bsdf.merge(changes, combine_attrs="override"))
     parts_of_u = np.nan_to_num(appearance["gloss_u_source"].drop_sel(source="instrument").values)

@@ -17,7 +17,7 @@ from brdfpipe.bsdf import traced
 from brdfpipe.bsdf.change_variables import MODEL_REGIONS
 from brdfpipe.bsdf.microfacet.builder import build
 from brdfpipe.bsdf.registry import representation
-from brdfpipe.comparison.error_as_uncertainty import LARGEST_ERROR, gloss_error, relative_error
+from brdfpipe.comparison.error_as_uncertainty import LARGEST_ERROR, gloss_error, relative_light_error
 from brdfpipe.comparison.lobe_bins import LobeBins
 from brdfpipe.comparison.model_error import GLOSS_ANGLES, model_error
 from brdfpipe.errors import VocabularyError
@@ -149,7 +149,10 @@ def test_the_stated_error_covers_what_facets_miss_of_a_polished_surface():
     assert float(gloss_error(result)["model_gloss_error"].sel(gloss_angle=20)) == pytest.approx(24.45 - 40.28, abs=3)
     known = result["valid"].sel(reference="kirchhoff") > 0
     light, reference = (result[name].isel(plane=0).where(known) for name in ("light", "reference_light"))
-    reference, stated = reference.sel(reference="kirchhoff"), relative_error(result).where(known)
+    reference, stated = (
+        reference.sel(reference="kirchhoff"),
+        relative_light_error(result)["relative_error"].where(known),
+    )
     covered = light * stated >= 0.999 * np.abs(reference - light)
     assert covered.where(stated.notnull() & (stated < LARGEST_ERROR) & (reference > 0), True).all()
 

@@ -20,7 +20,7 @@ from brdfpipe.appearance.colours import FLOP_GEOMETRIES, TOTAL, colour, flop_ind
 from brdfpipe.appearance.gloss_meter import beam_of, gloss_of
 from brdfpipe.appearance.haze import HazeWindow, beams_of, haze_of
 from brdfpipe.appearance.transmission import luminous_transmittance, transmission_haze
-from brdfpipe.bsdf.change_variables import MODEL, NOT_STATED
+from brdfpipe.bsdf.change_variables import MODEL, NOT_STATED, OF_MAP
 from brdfpipe.bsdf.nonspectral import nonspectral
 from brdfpipe.bsdf.registry import representation
 from brdfpipe.bsdf.source_changes import Reflector, SourceChanges, uncertain, without_changes
@@ -30,8 +30,6 @@ from brdfpipe.spectra import colorimetry
 INSTRUMENT = "instrument"
 """Source of the tolerances of instruments."""
 
-_OF_MAP = "facets", "psd"
-"""Sources of the chance that a finite map is not the mean of its surface."""
 _RULE = Rule((2, 3), 3)
 """Accurate to 1 % of a change."""
 _TURNS = np.arange(8) * 22.5
@@ -166,7 +164,7 @@ def _known_errors(
     error, of_map = (
         bsdf[name].reindex(error_gloss_angle=angles).values for name in ("model_gloss_error", "reference_gloss_u")
     )
-    counted = sum((np.square(parts["gloss"].get(name, np.zeros_like(error))) for name in _OF_MAP), np.zeros_like(error))
+    counted = sum((np.square(parts["gloss"].get(name, np.zeros_like(error))) for name in OF_MAP), np.zeros_like(error))
     not_counted = np.sqrt(np.maximum(np.square(of_map) - counted, 0.0))
 
     def known(own: Array, others: Array, of_light: Array) -> Array:

@@ -15,6 +15,8 @@ MODEL_INCIDENCES = np.array([0.0, 20.0, 40.0, 60.0, 75.0, 85.0])
 """Angles of incidence at which the light of a model is compared [degree]; gloss at those of gloss meters among them."""
 MODEL_REGIONS = {"peak": 0.3, "shoulder": 0.03, "rest": 0.0}
 """Regions of its error by the smallest share of the predicted peak [1]."""
+OF_MAP = ("facets", "psd")
+"""Sources of the chance that a finite map is not the mean of its surface."""
 NOT_STATED = "uncertainty_not_stated"
 """Attribute: sources without a stated uncertainty, separated by commas."""
 

@@ -16,19 +16,23 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 import xarray as xr
 
-from brdfpipe import vocabulary
+from brdfpipe import hemisphere, vocabulary
+from brdfpipe.bsdf.base import Representation
 from brdfpipe.bsdf.change_variables import (
     DIMENSION,
     MODEL,
     MODEL_INCIDENCES,
     MODEL_REGIONS,
     NOT_STATED,
+    OF_MAP,
     SOURCE,
     between_incidences,
 )
 from brdfpipe.bsdf.microfacet.gloss_trap import trapped_light
 from brdfpipe.bsdf.microfacet.model import Model
 from brdfpipe.bsdf.microfacet.phase_variance import unresolved_rms_height
+from brdfpipe.bsdf.registry import representation
+from brdfpipe.bsdf.source_changes import SourceChanges
 from brdfpipe.bsdf.wave.height_transform import log_transform
 from brdfpipe.bsdf.wave.roughness import roughness
 from brdfpipe.facets import planar_density
@@ -75,6 +79,7 @@ def uncertainty(
     index: xr.Dataset | None = None,
     spectrum: xr.Dataset | None = None,
     relative_error: xr.DataArray | None = None,
+    reference_light_u: xr.DataArray | None = None,
     gloss_error: xr.Dataset | None = None,
 ) -> xr.Dataset:
     """Changes of a predicted BSDF by the uncertainties of its inputs.
@@ -87,7 +92,8 @@ def uncertainty(
     index : kind ``index``; ``n_u`` is common to all wavelengths
     spectrum : kind ``spectrum``; ``total_reflectance_u`` is common to all wavelengths
     relative_error : of the model over ``theta_i`` [degree] and ``region``
-        (:func:`brdfpipe.comparison.error_as_uncertainty.relative_error`), NaN where it is not known
+        (:func:`brdfpipe.comparison.error_as_uncertainty.relative_light_error`), NaN where it is not known
+    reference_light_u : of the same: relative uncertainty of the reference by the finite map of which prediction and reference are
     gloss_error : of the model over ``gloss_angle`` [gloss units]
         (:func:`brdfpipe.comparison.error_as_uncertainty.gloss_error`), NaN where it is not known
 
@@ -126,17 +132,72 @@ def uncertainty(
     stated = {change.source for change in changes}
     missing = [name for name in _expected(bsdf, facets, psd, spectrum) if name not in stated]
     if relative_error is not None and relative_error.notnull().any():
+        if reference_light_u is not None:
+            relative_error = _with_finite_map(bsdf, result, relative_error, reference_light_u)
         result = result.assign(relative_error=relative_error.rename(theta_i="error_theta"))
         if gloss_error is not None:
             result = result.merge(gloss_error.rename(gloss_angle="error_gloss_angle"))
-        known = relative_error["theta_i"].values[relative_error.notnull().any("region").values]
-        unknown = [f"{MODEL} beyond {known[-1]:g}°"] if known[-1] < relative_error["theta_i"].values[-1] else []
+        angles = relative_error["theta_i"].values
+        known = angles[relative_error.notnull().any("region").values]
+        unknown = [f"{MODEL} beyond {known[-1]:g}°"] if known[-1] < angles[-1] else []
         missing = [name for name in missing if name != MODEL] + unknown
     if "n" in bsdf and (unresolved := unresolved_rms_height(psd)):
         loss = _finer_roughness_loss(unresolved, result.get("error_theta"))
         both = xr.DataArray(np.hypot(result["relative_error"], loss)) if "relative_error" in result else loss
         result = result.assign(relative_error=both.transpose("error_theta", "region"), finer_roughness_loss=loss)
     return vocabulary.label(result.assign_attrs({NOT_STATED: ", ".join(missing)}), "uncertainty")
+
+
+def _with_finite_map(
+    bsdf: xr.Dataset, changes: xr.Dataset, error: xr.DataArray, reference_u: xr.DataArray
+) -> xr.DataArray:
+    """The relative error of the model with what a finite map makes of its reference.
+
+    Prediction and reference are of one map. That it is finite counts once: as that of facets and spectrum, and here by what it makes of the light
+    of the reference in a region beyond that. With a lay it counts here as a whole, which may be too much.
+    """
+    of_reference = reference_u.transpose(*error.dims).fillna(0.0).values
+    if not of_reference.any():
+        return error
+    counted = _light_of_map(bsdf, changes, error["theta_i"].values)
+    return error.copy(data=np.sqrt(error.values**2 + np.maximum(of_reference**2 - counted**2, 0.0)))
+
+
+def _light_of_map(bsdf: xr.Dataset, changes: xr.Dataset, theta: Array) -> Array:
+    """Relative standard uncertainty of the light of the surface by region from facets and spectrum, (incidences, regions); coherent light is of
+    the peak. 0 with a lay."""
+    given = representation(bsdf)
+    bare = given.without_diffuse()
+    result = np.zeros((theta.size, len(MODEL_REGIONS)))
+    of_map = np.isin(changes[SOURCE].values, OF_MAP) if SOURCE in changes.coords else np.zeros(0, dtype=bool)
+    if not of_map.any() or not given.isotropic:
+        return result
+    kept = changes.isel({DIMENSION: of_map}).drop_vars("diffuse_change", errors="ignore")
+    light = SourceChanges((bsdf if bare is None else bare).merge(kept, combine_attrs="override"))
+    wavelength = bsdf["wavelength"].values if "wavelength" in bsdf.coords else None
+    middle = None if wavelength is None else wavelength[[np.abs(wavelength - 1e3 * MIDDLE_WAVELENGTH).argmin()]]
+    slope, limits = given.lobe_slope or 1.0, np.array(list(MODEL_REGIONS.values()))
+    for row, theta_i in enumerate(theta):
+        rule = hemisphere.around_mirror(float(theta_i), slope, order=4, turns=8)
+        before, *after = (
+            _light_by_direction(one, float(theta_i), rule, middle) for one in (light.given, *light.of_inputs)
+        )
+        # The last is the coherent light.
+        brdf = before[:-1] / rule.weight
+        number = np.append(np.argmax(brdf[:, None] >= limits * brdf.max(), axis=1), 0)
+        changed = [np.bincount(number, one - before, minlength=limits.size) for one in after]
+        total = np.bincount(number, before, minlength=limits.size)
+        result[row] = np.sqrt(np.square(changed).sum(axis=0)) / np.maximum(total, 1e-300)
+    return result
+
+
+def _light_by_direction(
+    reflector: Representation, theta_i: float, rule: hemisphere.Directions, wavelength: Array | None
+) -> Array:
+    """Light of every direction of a rule, and coherent light, at one wavelength, (directions + 1,)."""
+    incident = np.full_like(rule.theta, theta_i), np.zeros_like(rule.theta)
+    brdf = reflector.evaluate(*incident, rule.theta, rule.phi, wavelength)[:, 0]
+    return np.append(brdf * rule.weight, reflector.specular(np.array([theta_i]), np.zeros(1), wavelength)[0][0, 0])
 
 
 def _finer_roughness_loss(sigma: float, theta: xr.DataArray | None) -> xr.DataArray:

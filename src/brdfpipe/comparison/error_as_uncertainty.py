@@ -11,8 +11,8 @@ LARGEST_ERROR = 10.0
 """Largest relative error that is stated: a prediction of less than a tenth of the light is no base for a ratio."""
 
 
-def relative_error(result: xr.Dataset) -> xr.DataArray:
-    """Reference over predicted light less 1, as a standard uncertainty of the prediction: √(error² + u²), because the error is not corrected.
+def relative_light_error(result: xr.Dataset) -> xr.Dataset:
+    """Reference over predicted light less 1, as a standard uncertainty of the prediction, and the uncertainty of the reference that it shares.
 
     Parameters
     ----------
@@ -20,21 +20,32 @@ def relative_error(result: xr.Dataset) -> xr.DataArray:
 
     Returns
     -------
-    DataArray [1] over ``theta_i`` [degree] and ``region``, of traced rays where they hold, else of diffraction, else NaN; the largest of the
-    planes of incidence, at most :data:`LARGEST_ERROR`. Regions are those of the predicted BRDF at the incidence: above 0.3 of its peak, above
-    0.03, and the rest. A region without light has the error of its neighbour towards the peak, or else of the one outside
+    Dataset over ``theta_i`` [degree] and ``region``, of traced rays where they hold, else of diffraction, else NaN; the largest of the planes of
+    incidence. ``relative_error`` [1], at most :data:`LARGEST_ERROR`, is √(error² + u²) of rays, whose noise is theirs alone, because the error is not
+    corrected, and the error of diffraction. ``reference_light_u`` [1] is 0 of rays, and of diffraction its relative uncertainty, because the map is
+    finite from which the prediction was made too. Regions are those of the predicted BRDF at the incidence: above 0.3 of its peak, above 0.03, and the
+    rest. A region without light has the values of its neighbour towards the peak, or else of the one outside
     """
     compared = (result["valid"] > 0) & (result["light"] > 0) & (result["reference_light"] > 0)
     ratio = (result["reference_light"] / result["light"]).where(compared)
     # The relative uncertainty of a ratio is that of its inverse.
     u = ratio * result["light_error_u"] / (1 + result["light_error"])
-    size = (((ratio - 1) ** 2 + u**2) ** 0.5).clip(max=LARGEST_ERROR).max("plane")
-    by_region = _of_best_reference(size).transpose("theta_i", "region")
+    of_rays = u["reference"] == "traced"
+    size = ((ratio - 1) ** 2 + u.where(of_rays, 0.0) ** 2) ** 0.5
+    by_name = {"relative_error": size, "reference_light_u": u.where(~of_rays, 0.0).where(ratio.notnull())}
+    return xr.Dataset(
+        {name: _in_all_regions(values.clip(max=LARGEST_ERROR).max("plane")) for name, values in by_name.items()}
+    )
+
+
+def _in_all_regions(by_reference: xr.DataArray) -> xr.DataArray:
+    """Values of the best reference over ``theta_i`` and ``region``; a region without one has that of a neighbour."""
+    by_region = _of_best_reference(by_reference).transpose("theta_i", "region")
     values = by_region.values.T.copy()
     for outwards in (values, values[::-1]):
         for inner, outer in pairwise(outwards):
             outer[np.isnan(outer)] = inner[np.isnan(outer)]
-    return by_region.copy(data=values.T).rename("relative_error")
+    return by_region.copy(data=values.T)
 
 
 def gloss_error(result: xr.Dataset) -> xr.Dataset:
