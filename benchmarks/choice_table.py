@@ -9,6 +9,9 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+_SHORT, _RUNS_OF_SHORT = 0.2, 5
+"""Processor time up to which an action is repeated [s], and how often at most."""
+
 Result = TypeVar("Result")
 
 
@@ -119,9 +122,12 @@ def summary_of_sources(choices: Iterable[Mapping[str, Any]]) -> list[str]:
 
 
 def timed(action: Callable[[], Result], repeats: int = 1) -> tuple[Result, float]:
-    """The result of an action, and its least processor time [s] of several runs."""
-    times = []
-    for _ in range(repeats):
+    """The result of an action, and its least processor time [s] of several runs; a short action is run a few times in any case.
+
+    Other work on the machine slows a short action by up to a factor of two, though its time is that of the processor.
+    """
+    times: list[float] = []
+    while len(times) < repeats or (sum(times) < _SHORT and len(times) < _RUNS_OF_SHORT):
         start = time.process_time()
         result = action()
         times.append(time.process_time() - start)

@@ -95,7 +95,7 @@ def _against_before(summary: Record) -> list[str]:
     worse = [text for texts in compared for text in texts]
     if not worse:
         return [f"No option became {limits}."]
-    return [f"These became {limits}:", "", *(f"- {text}" for text in worse)]
+    return [f"These became {limits}, or their reference faster:", "", *(f"- {text}" for text in worse)]
 
 
 def with_tables(page: str, summary: Record) -> str:

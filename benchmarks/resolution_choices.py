@@ -160,7 +160,7 @@ def precision() -> Choice:
         exact = values["table, 64 bits (used)" if name.startswith("table") else "BSDF, 64 bits"]
         bits = next(int(word) for word in name.replace(",", "").split() if word.isdigit())
         error = np.abs(values[name] / exact - 1)
-        seconds = timed(lambda one=one, angles=angles: representation(one).evaluate(*angles, None), 2)[1]
+        seconds = timed(lambda one=one, angles=angles: representation(one).evaluate(*angles, None), 5)[1]
         size = one.nbytes if "angles" in name else one.nbytes * bits / 64
         errors = {"rms": rms(error), "largest": largest(error)}
         options.append(Option(name, text, errors, {"10⁶ directions": seconds * 1e6 / len(at[0])}, size))

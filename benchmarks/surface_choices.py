@@ -45,7 +45,7 @@ MAPS: Mapping[str, Array] = {
 }
 
 
-def evaluation_time(bsdf: xr.Dataset, repeats: int = 2) -> float:
+def evaluation_time(bsdf: xr.Dataset, repeats: int = 3) -> float:
     """Processor time of a million random pairs of directions at one wavelength [s]."""
     rng, evaluator = np.random.default_rng(0), representation(bsdf)
     theta_i, theta_o = np.degrees(np.arccos(rng.random((2, EVALUATED))))
