@@ -38,7 +38,9 @@ def test_a_feature_is_a_property_of_the_material_not_of_its_units():
     assert found["log_slope"] == pytest.approx(np.log(0.2 * np.sqrt(np.log(2))), abs=2e-3)
     assert found["log_mirror"] == pytest.approx(np.log(0.04), abs=1e-9)
     assert found["diffuse"] == pytest.approx(0.3, abs=1e-9)
-    assert found["log_height"] == found["slope_lowness"] == found["log_anisotropy"] == 0
+    without_scan = ("heights_known", "masking", "masking_in_peak", "slope_lowness", "height_skewness", "log_anisotropy")
+    assert [found[name] for name in without_scan] == [0] * 6
+    assert found["log_height"] == pytest.approx(np.log(3))
 
 
 def test_like_materials_are_near_and_a_metal_is_far_from_a_plastic():
@@ -55,3 +57,12 @@ def test_the_tail_is_the_slope_that_5_percent_exceed_also_where_no_mean_square_e
     inputs = ModelInputs(refractive_index(1.5), None, analytic(name, a=0.2))
     # The rule of the density has nodes, between which the share of the facets is interpolated.
     assert features(inputs)["tail"] == pytest.approx(np.log(tail) / 2, rel=0.01)
+
+
+def test_the_masking_of_valleys_differs_from_smiths_the_other_way_round_than_that_of_the_map_upside_down():
+    cells = relief_maps.cells(192, 0)
+    upright, inverted = (
+        features(ModelInputs(refractive_index(1.5), None, estimate(surface), None, surface))
+        for surface in (samples.surface(cells), samples.surface(-cells))
+    )
+    assert upright["masking"] < -0.05 < 0.05 < inverted["masking"]

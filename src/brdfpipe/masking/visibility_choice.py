@@ -83,16 +83,28 @@ def choose(
     return vocabulary.label(result, "visibility")
 
 
+def smith_errors(surface: xr.Dataset, facets: xr.Dataset, theta: float, samples: int) -> dict[str, float]:
+    """Light of the facets after Smith over that which is traced on the heights less 1, by region; 0 where none is traced.
+
+    Parameters
+    ----------
+    surface, facets : as for :func:`choose`
+    theta : angle of incidence [degree], below 90
+    samples : facets that are traced
+    """
+    try:
+        mesh = _mesh(surface, facets)
+    except (HeightMapError, VisibilityError):
+        return dict.fromkeys(REGIONS, 0.0)
+    sample = FacetSample.of(mesh, samples, 0)
+    by_region = _at_incidence(sample, RadialDensity.of(facets), sample.smith_excess(), float(np.radians(theta)))
+    return {
+        region: float(shares[_FIELDS.index("smith_error")]) for region, shares in zip(REGIONS, by_region, strict=True)
+    }
+
+
 def _compared_and_traced(surface: xr.Dataset, facets: xr.Dataset, masking: str, samples: int, seed: int) -> xr.Dataset:
-    if facets["slope_density"].size == 0:
-        raise VisibilityError("the surface is flat, and masks nothing")
-    if facets["slope_density"].ndim != 1:
-        text = "the surface has a lay; masking is traced for surfaces without one"
-        if masking == "measured":
-            raise VisibilityError(f"masking 'measured' is not possible: {text}. Set `model.masking: auto`")
-        raise VisibilityError(f"{text}, and with a lay is Smith's")
-    line = surface["height"].ndim == 1
-    mesh = HeightMesh.of_line(surface) if line else HeightMesh.of(surface)
+    mesh, line = _mesh(surface, facets, masking), surface["height"].ndim == 1
     density = RadialDensity.of(facets)
     result = _compared(FacetSample.of(mesh, COMPARED_FACETS, seed), density)
     chosen, reason = _choice(result)
@@ -111,6 +123,18 @@ def _compared_and_traced(surface: xr.Dataset, facets: xr.Dataset, masking: str, 
         "method": "traced on the line" if line else "traced on the map",
     }
     return result
+
+
+def _mesh(surface: xr.Dataset, facets: xr.Dataset, masking: str = "auto") -> HeightMesh:
+    """The heights, of facets whose masking can be traced."""
+    if facets["slope_density"].size == 0:
+        raise VisibilityError("the surface is flat, and masks nothing")
+    if facets["slope_density"].ndim != 1:
+        text = "the surface has a lay; masking is traced for surfaces without one"
+        if masking == "measured":
+            raise VisibilityError(f"masking 'measured' is not possible: {text}. Set `model.masking: auto`")
+        raise VisibilityError(f"{text}, and with a lay is Smith's")
+    return HeightMesh.of_line(surface) if surface["height"].ndim == 1 else HeightMesh.of(surface)
 
 
 def _choice(comparison: xr.Dataset) -> tuple[str, str]:

@@ -10,6 +10,7 @@ import numpy as np
 from brdfpipe.facets.facet_dataset import azimuthal_average
 from brdfpipe.facets.radial_density import RadialDensity
 from brdfpipe.geometry import Array
+from brdfpipe.masking.visibility_choice import smith_errors
 from brdfpipe.optics.fresnel_equations import fresnel
 from brdfpipe.optics.index import interpolate_index
 from brdfpipe.scenes.model_inputs import ONE_WAVELENGTH, ModelInputs
@@ -18,6 +19,9 @@ FEATURES = {
     "log_slope": 1.5,
     "tail": 0.1,
     "log_height": 1.8,
+    "heights_known": 0.3,
+    "masking_in_peak": 0.1,
+    "masking": 0.1,
     "slope_lowness": 0.15,
     "height_skewness": 0.3,
     "log_anisotropy": 0.4,
@@ -29,6 +33,12 @@ FEATURES = {
 STEEP = 0.95
 """Share of the facets that are less steep than the slope that shows the tail."""
 
+GRAZING = 75.0
+"""Angle of incidence at which the masking of the heights is compared with Smith's [degree]."""
+
+TRACED = 4096
+"""Facets that are traced for it."""
+
 _LARGEST_HEIGHT = 3.0
 """Rms height over the wavelength beyond which coherent light is nothing at any angle, [1]."""
 
@@ -38,7 +48,10 @@ def features(inputs: ModelInputs) -> dict[str, float]:
 
     - ``log_slope``: ln of the median slope of the facets
     - ``tail``: ln of the slope that 5 % of the facets exceed over the median slope
-    - ``log_height``: ln of the rms height over 555 nm, at most 3; 0 without a roughness spectrum
+    - ``log_height``: ln of the rms height over 555 nm, which is at most 3; that of 3 without a roughness spectrum
+    - ``heights_known``: 1 with a scan, 0 without
+    - ``masking_in_peak``, ``masking``: ln of the light that facets reflect at 75° after Smith over that which is traced on the heights, in the
+      peak and in all; 0 where none is traced
     - ``slope_lowness``: correlation of height and squared slope on the map: negative, where steep facets lie in valleys; 0 without a map
     - ``height_skewness``: Ssk of the map, -2 to 2
     - ``log_anisotropy``: ln of the ratio of the slopes along two axes; 0 without a lay
@@ -54,10 +67,14 @@ def features(inputs: ModelInputs) -> dict[str, float]:
     result = dict.fromkeys(FEATURES, 0.0)
     result["log_slope"] = math.log(slope)
     result["tail"] = math.log(density.slope_quantile(STEEP) / slope)
+    result["log_height"] = math.log(_LARGEST_HEIGHT)
     if inputs.psd is not None:
         height = max(float(inputs.psd["sigma_heights"]), 1e-4) / (1e-3 * ONE_WAVELENGTH)
         result["log_height"] = math.log(min(height, _LARGEST_HEIGHT))
     if inputs.surface is not None:
+        result["heights_known"] = 1.0
+        errors = smith_errors(inputs.surface, facets, GRAZING, TRACED)
+        result["masking_in_peak"], result["masking"] = (math.log1p(errors[region]) for region in ("peak", "all"))
         heights = inputs.surface["height"].values
         result["slope_lowness"] = slope_lowness(heights)
         centred = heights - np.nanmean(heights)
