@@ -15,6 +15,7 @@ import json
 import sys
 import time
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
@@ -35,7 +36,7 @@ from brdfpipe.optics.index import refractive_index
 from brdfpipe.psd.estimation import estimate as roughness_spectrum
 from brdfpipe.scenes.candidate_model import build
 from brdfpipe.scenes.error_regression import Prediction, Regression
-from brdfpipe.scenes.experience import NEGLIGIBLE, Experience, Known, Trial, candidate_of
+from brdfpipe.scenes.experience import CERTAINTY, NEGLIGIBLE, Experience, Known, Trial, candidate_of
 from brdfpipe.scenes.features import features
 from brdfpipe.scenes.ladders import FULLEST, Candidate
 from brdfpipe.scenes.metrics import METRICS
@@ -76,6 +77,10 @@ FRESH: Mapping[str, Mapping[str, Any]] = {"glare": {"n": 10_240, "seed": 1}}
 """Options of metrics of directions where the choice is tested: at others, and more of them."""
 FAR_OFF = 3.0
 """Error over the tolerance from which more directions do not change that a model is not accepted."""
+ENOUGH_HELD = 0.99
+"""Share of the materials whose choice has to err by less than the tolerance."""
+DEVIATIONS = (CERTAINTY, 2.7, 3.1, 3.6, 4.2, 5.0)
+"""Standard deviations above the expected error, at which its bound may be."""
 REPEATS, ENOUGH = 2, 0.4
 """Most builds of a candidate, and the time [s] after which no other one follows."""
 RENDERED = 3
@@ -230,7 +235,16 @@ def experience_of(scene: Scene, rows: list[dict[str, Any]]) -> Experience:
         of_metric = row["model_error"] if scene.content["metric"] == "gloss" else None
         known.append(Known(row["name"], row["features"], trials, of_metric))
     least = NEGLIGIBLE * scene.content["tolerance"]
-    return Experience(scene.content["metric"], scene.errors_of, tuple(known), least).fitted()
+    return calibrated(scene, Experience(scene.content["metric"], scene.errors_of, tuple(known), least).fitted(), rows)
+
+
+def calibrated(scene: Scene, experience: Experience, rows: Sequence[Mapping[str, Any]]) -> Experience:
+    """With the smallest bounds for which enough materials that are left out hold the tolerance; the largest where none is enough."""
+    for deviations in DEVIATIONS:
+        experience = replace(experience, deviations=deviations)
+        if left_out(scene, experience, rows)["held"] >= ENOUGH_HELD:
+            break
+    return experience
 
 
 def left_out(scene: Scene, experience: Experience, rows: Sequence[Mapping[str, Any]]) -> dict[str, float]:
@@ -246,7 +260,8 @@ def left_out(scene: Scene, experience: Experience, rows: Sequence[Mapping[str, A
     tolerance = scene.content["tolerance"]
     for known in experience.materials:
         judged = [
-            judgement(one, errors[one].get(known.name), expected_costs[one].get(known.name)) for one in known.trials
+            judgement(one, errors[one].get(known.name), expected_costs[one].get(known.name), experience.deviations)
+            for one in known.trials
         ]
         choice = chosen(judged, tolerance).candidate
         decided += choice != FULLEST

@@ -58,6 +58,14 @@ def test_far_from_all_materials_nothing_is_known():
     assert far > 3 * near
 
 
-def test_equal_materials_of_equal_errors_are_no_obstacle():
-    regression = Regression.fitted(np.zeros((20, 3)), np.full(20, 2.0))
-    assert regression.at([0.0] * 3).bound(0.0) == pytest.approx(2.0, rel=0.02)
+@pytest.mark.parametrize("features", [np.zeros((20, 3)), np.arange(60.0).reshape(20, 3)])
+def test_equal_materials_and_equal_errors_are_no_obstacle(features):
+    regression = Regression.fitted(features, np.full(20, 2.0))
+    assert regression.at(features[0].tolist()).bound(0.0) == pytest.approx(2.0, rel=0.05)
+    assert np.isfinite([value for one in regression.left_out() for value in one]).all()
+
+
+def test_a_step_between_two_values_is_fitted():
+    features = np.random.default_rng(5).normal(size=(80, 4))
+    regression = Regression.fitted(features, np.where(features[:, 0] > 0.5, 10.0, 0.01))
+    assert np.isfinite(regression.parameters).all()

@@ -8,6 +8,7 @@ from brdfpipe.errors import BrdfpipeError
 from brdfpipe.scenes import experience
 from brdfpipe.scenes.error_regression import LEAST
 from brdfpipe.scenes.experience import Experience
+from brdfpipe.scenes.features import FEATURES
 from brdfpipe.scenes.ladders import FULLEST, Candidate
 
 
@@ -29,7 +30,7 @@ def test_a_file_gives_back_what_was_written(tmp_path):
     found = experience.read(path)
     assert found.parameters == written.parameters
     assert [one.name for one in found.materials] == [one.name for one in written.materials]
-    before, after = (one.error(FACETS).at([0.1] * 8) for one in (written, found))
+    before, after = (one.error(FACETS).at([0.1] * len(FEATURES)) for one in (written, found))
     assert after == pytest.approx(before, abs=5e-3)  # numbers have three digits
 
 
@@ -39,7 +40,7 @@ def test_a_file_gives_back_what_was_written(tmp_path):
         "",
         "[]",
         "{}",
-        '{"metric": "gloss", "scene": "", "least_error": 1, "parameters": {}, "materials": '
+        '{"metric": "gloss", "scene": "", "least_error": 1, "deviations": 2, "parameters": {}, "materials": '
         '[{"name": "a", "features": {}, "trials": {"x": [1, 2]}}]}',
     ],
 )

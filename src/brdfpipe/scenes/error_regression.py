@@ -26,6 +26,8 @@ _EXPECTED = {"amplitude": 0.3, "noise": -1.5, "length": 1.5}
 """Logarithms of the parameters that are expected: amplitude and noise of the logarithm, lengths in the units of the features."""
 _SPREAD = 1.0
 """Standard deviation of these logarithms about what is expected."""
+_RANGES = {"amplitude": (-3.0, 3.0), "noise": (-4.0, 3.0), "length": (-3.0, 6.0)}
+"""Ranges of these logarithms, in which no covariance is singular."""
 _MEAN_VARIANCE = 4.0
 """Variance of the constant mean, which is not known beforehand."""
 
@@ -63,9 +65,8 @@ class Regression:
         """
         logarithms = np.log(values)
         start = np.array(expected_parameters(features.shape[1]))
-        found = minimize(
-            _cost, start, args=(features, logarithms), jac=True, method="L-BFGS-B", options={"maxiter": 60}
-        )
+        bounds = [_RANGES["amplitude"], _RANGES["noise"], *[_RANGES["length"]] * features.shape[1]]
+        found = minimize(_cost, start, args=(features, logarithms), jac=True, method="L-BFGS-B", bounds=bounds)
         return cls(features, logarithms, tuple(float(value) for value in found.x))
 
     def at(self, features: Sequence[float]) -> Prediction:
@@ -116,10 +117,7 @@ def _cost(parameters: Array, features: Array, logarithms: Array) -> tuple[float,
     amplitude, noise = math.exp(2 * given[0]), math.exp(2 * given[1])
     decay = np.exp(-away)
     covariance = amplitude * (1 + away + away**2 / 3) * decay
-    try:
-        factor = cho_factor(_with_noise(covariance, given))
-    except np.linalg.LinAlgError:
-        return np.inf, np.zeros_like(parameters)
+    factor = cho_factor(_with_noise(covariance, given))
     weights = cho_solve(factor, logarithms)
     inverse = cho_solve(factor, np.eye(logarithms.size))
     off = (parameters - expected_parameters(features.shape[1])) / _SPREAD

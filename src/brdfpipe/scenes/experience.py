@@ -43,6 +43,9 @@ class Known:
 NEGLIGIBLE = 0.01
 """Error over the tolerance of the scene, below which errors count as equal."""
 
+CERTAINTY = 2.33
+"""Standard deviations of a regression above the expected value, below which 99 % of normally distributed ones are."""
+
 MODEL_ERROR = "model error"
 """Key of the parameters of :attr:`Known.model_error`."""
 
@@ -57,6 +60,9 @@ class Experience:
     materials: tuple[Known, ...] = ()
     least_error: float = 1e-6
     """Errors below it count as it, in the unit of the metric"""
+    deviations: float = CERTAINTY
+    """Standard deviations above the expected error at which its bound is; more than for normally distributed errors, where materials that are
+    left out show that these are not enough"""
     parameters: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
     """Parameters of the regression of each quantity; those that are expected where a quantity has none"""
 
@@ -120,7 +126,8 @@ class Experience:
         ]
         lines = ",\n".join(json.dumps(row) for row in rows)
         parameters = ",\n".join(f"{json.dumps(key)}: {json.dumps(values)}" for key, values in self.parameters.items())
-        head = json.dumps({"metric": self.metric, "scene": self.scene, "least_error": self.least_error})[:-1]
+        known = ("metric", "scene", "least_error", "deviations")
+        head = json.dumps({name: getattr(self, name) for name in known})[:-1]
         store.write_text(path, f'{head}, "parameters": {{\n{parameters}\n}}, "materials": [\n{lines}\n]}}\n')
 
 
@@ -147,7 +154,8 @@ def read(path: Path) -> Experience:
             for row in content["materials"]
         )
         parameters = {key: tuple(map(float, values)) for key, values in content["parameters"].items()}
-        return Experience(content["metric"], content["scene"], materials, float(content["least_error"]), parameters)
+        least, deviations = (float(content[name]) for name in ("least_error", "deviations"))
+        return Experience(content["metric"], content["scene"], materials, least, deviations, parameters)
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise BrdfpipeError(
             f"{path}: is not a file of measured errors ({error}); write it anew with `make tradeoff`"

@@ -17,13 +17,10 @@ import xarray as xr
 from brdfpipe import vocabulary
 from brdfpipe.errors import BrdfpipeError
 from brdfpipe.scenes.error_regression import Prediction
-from brdfpipe.scenes.experience import NONE, Experience
+from brdfpipe.scenes.experience import CERTAINTY, NONE, Experience
 from brdfpipe.scenes.features import features, in_spreads
 from brdfpipe.scenes.ladders import FULLEST, LADDERS, Candidate
 from brdfpipe.scenes.model_inputs import ModelInputs
-
-CERTAINTY = 2.33
-"""Standard deviations of the regression above the expected error, at which its bound is: 99 % of normal errors are below."""
 
 
 class ToleranceError(BrdfpipeError):
@@ -50,17 +47,17 @@ def judge(candidates: Sequence[Candidate], features: Mapping[str, float], experi
     at = in_spreads(features).tolist()
     errors = {one: regression.at(at) for one in candidates if (regression := experience.error(one))}
     costs = {one: regression.at(at) for one in candidates if (regression := experience.cost(one))}
-    return [judgement(one, errors.get(one), costs.get(one)) for one in candidates]
+    return [judgement(one, errors.get(one), costs.get(one), experience.deviations) for one in candidates]
 
 
-def judgement(candidate: Candidate, error: Prediction | None, cost: Prediction | None) -> Judged:
-    """A candidate whose error and cost are expected to be these; None where they are not known."""
+def judgement(candidate: Candidate, error: Prediction | None, cost: Prediction | None, deviations: float) -> Judged:
+    """A candidate whose error and cost are expected to be these, None where they are not known; bounds are ``deviations`` above."""
     seconds = math.nan if cost is None else cost.bound(0.0)
     if candidate == FULLEST:
         return Judged(candidate, 0.0, 0.0, seconds)
     if error is None:
         return Judged(candidate, math.inf, math.inf, seconds)
-    return Judged(candidate, error.bound(0.0), error.bound(CERTAINTY), seconds)
+    return Judged(candidate, error.bound(0.0), error.bound(deviations), seconds)
 
 
 def chosen(judged: Sequence[Judged], tolerance: float) -> Judged:
