@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from brdfpipe.catalogue.catalogue import load
-from brdfpipe.jobs.budgets import _without
+from brdfpipe.jobs.budgets import _cost, _without
 from brdfpipe.jobs.build import build
 from brdfpipe.scenes.scene import load_scene
 from brdfpipe.stages import Subject
@@ -48,4 +48,20 @@ def test_results_that_save_most_are_given_up_first(folder: Path, tmp_path: Path,
     catalogue = load(folder)
     subject = Subject(catalogue["first"], catalogue.config, (), load_scene(tmp_path / "mine.yaml"))
     costs = {"checks": 2.0, "table": 3.0, "spectrum": 1.5}
-    assert _without(subject, costs, sum(costs.values()), budget) == words
+    assert _without(subject, costs, budget) == words
+
+
+def test_results_of_one_job_are_given_up_together(folder: Path, tmp_path: Path) -> None:
+    (tmp_path / "mine.yaml").write_text(SCENE.replace("[checks]", "[checks, gloss, colour]"))
+    catalogue = load(folder)
+    subject = Subject(catalogue["first"], catalogue.config, (), load_scene(tmp_path / "mine.yaml"))
+    words = _without(subject, {"checks": 2.0, "appearance": 5.0}, 3.0)
+    assert words in [f"without {both} it would take 2 s" for both in ("`gloss`, `colour`", "`colour`, `gloss`")]
+
+
+def test_jobs_of_other_scenes_do_not_count(folder: Path, tmp_path: Path) -> None:
+    (tmp_path / "mine.yaml").write_text(SCENE)
+    catalogue = load(folder)
+    subject = Subject(catalogue["first"], catalogue.config, (), load_scene(tmp_path / "mine.yaml"))
+    # Jobs of a camera rig follow from its run, not from the scene.
+    assert _cost(subject, {"checks": 2.0, "table": 4.0, "spectrum": 1.0, "reduced-0-front-10": 8.0}) == 11.0

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -27,12 +27,12 @@ def exceeded(results: Path, catalogue: Catalogue, names: Iterable[str]) -> Itera
         if "seconds" in budget:
             records = [path for place in places for path in (results / "logs" / place / name).glob("*.json")]
             costs = {path.stem: float(json.loads(path.read_text(encoding="utf-8"))["wall_s"]) for path in records}
-            seconds = sum(costs.values())
+            subject = Subject(catalogue[name], catalogue.config, (), scene)
+            seconds = _cost(subject, costs)
             if seconds > budget["seconds"]:
-                subject = Subject(catalogue[name], catalogue.config, (), scene)
                 yield (
                     f"{name}: took {seconds:.1f} s; the budget of the scene {scene.name} is {budget['seconds']:g} s; "
-                    f"{_without(subject, costs, seconds, budget['seconds'])}"
+                    f"{_without(subject, costs, budget['seconds'])}"
                 )
         if "bytes" in budget:
             files = [path for place in places for path in (results / place / name).rglob("*") if path.is_file()]
@@ -46,18 +46,21 @@ def exceeded(results: Path, catalogue: Catalogue, names: Iterable[str]) -> Itera
                 )
 
 
-def _without(subject: Subject, costs: Mapping[str, float], seconds: float, budget: float) -> str:
-    """Which results of the scene to give up for a budget of time, those that save most first."""
-    given_up: list[str] = []
-    while seconds > budget:
-        smaller = {name: _without_result(subject, name) for name in _results(subject)}
-        savings = {name: _cost(subject, costs) - _cost(one, costs) for name, one in smaller.items()}
-        dearest = max(savings, key=lambda name: savings[name], default=None)
-        if dearest is None or savings[dearest] <= 0:
+def _without(subject: Subject, costs: Mapping[str, float], budget: float) -> str:
+    """Which results of the scene to give up for a budget of time, the dearest first.
+
+    Kept are results in the order of the time that each adds, because several may need the same job.
+    """
+    given_up, kept = _results(subject), list[str]()
+    seconds = least = _cost(_with_results(subject, kept), costs)
+    while given_up:
+        totals = {name: _cost(_with_results(subject, [*kept, name]), costs) for name in given_up}
+        given_up = sorted(totals, key=lambda name: -totals[name])
+        cheapest = given_up[-1]
+        if totals[cheapest] > max(budget, least):
             break
-        subject = smaller[dearest]
-        seconds -= savings[dearest]
-        given_up.append(dearest)
+        seconds = totals[cheapest]
+        kept.append(given_up.pop())
     if not given_up:
         return f"no result of the scene can be given up for it: raise `budget.seconds` to {seconds:.2g}"
     words = f"without {', '.join(f'`{name}`' for name in given_up)} it would take {seconds:.2g} s"
@@ -68,13 +71,16 @@ def _results(subject: Subject) -> list[str]:
     return [] if subject.scene is None else list(subject.scene.content["results"])
 
 
-def _without_result(subject: Subject, result: str) -> Subject:
+def _with_results(subject: Subject, results: Sequence[str]) -> Subject:
     assert subject.scene is not None
-    remaining = [name for name in _results(subject) if name != result]
-    return replace(subject, scene=Scene(subject.scene.name, {**subject.scene.content, "results": remaining}))
+    return replace(subject, scene=Scene(subject.scene.name, {**subject.scene.content, "results": list(results)}))
 
 
 def _cost(subject: Subject, costs: Mapping[str, float]) -> float:
-    """Time of the jobs that a subject has, of those that ran."""
-    titles = {stage.job_title.format(**wildcards) for stage in STAGES.values() for wildcards in stage.jobs(subject)}
-    return sum(cost for title, cost in costs.items() if title in titles)
+    """Time of the jobs that ran, without those that other scenes alone have."""
+    others = _titles(replace(subject, scene=None)) - _titles(subject)
+    return sum(cost for title, cost in costs.items() if title not in others)
+
+
+def _titles(subject: Subject) -> set[str]:
+    return {stage.job_title.format(**wildcards) for stage in STAGES.values() for wildcards in stage.jobs(subject)}
