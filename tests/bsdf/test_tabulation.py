@@ -77,13 +77,18 @@ def test_every_representation_that_states_an_uncertainty_is_tabulated_here():
 def test_a_spectral_table_has_the_uncertainty_of_each_of_its_values(name):
     # The index is that of all wavelengths, so the uncertainty of traced light does not depend on wavelength, and the diffuse part does.
     bsdf = UNCERTAIN[name]()
-    table = bsdf.bsdf.tabulate({"theta_i": [0, 20], "theta_o": np.arange(0, 86, 17.0), "phi_o": [0, 90, 180]})
+    table = bsdf.bsdf.tabulate({"theta_i": [0, 20], "theta_o": np.arange(0, 86, 17.0), "phi_o": [0, 120, 240, 360]})
     assert table.sizes["wavelength"] == bsdf.sizes["wavelength"] > 1
     assert table["brdf_u"].dims == table["brdf"].dims
-    u = table["brdf_u"].sel(theta_i=20, phi_o=180)
-    wanted = bsdf.bsdf.uncertainty(20, 0, u["theta_o"].values, 180).values
-    assert (wanted > 0).any()
-    np.testing.assert_allclose(u, wanted, rtol=1e-3)
+    for phi_o in (
+        120.0,
+        240.0,
+    ):  # on both sides of the plane of incidence, of which a table of symmetric ones evaluates one
+        at = table.sel(theta_i=20, phi_o=phi_o)
+        wanted = bsdf.bsdf.uncertainty(20, 0, at["theta_o"].values, phi_o).values
+        assert (wanted > 0).any()
+        np.testing.assert_allclose(at["brdf_u"], wanted, rtol=1e-3)
+        np.testing.assert_allclose(at["brdf"], bsdf.bsdf.evaluate(20, 0, at["theta_o"].values, phi_o), rtol=1e-9)
 
 
 def test_a_table_depends_on_the_difference_of_azimuths_alone(table):
