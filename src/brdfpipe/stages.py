@@ -758,7 +758,7 @@ _STAGES = (
     ),
     Stage(
         "plan",
-        "the cheapest model whose error the scene accepts, by what was measured on like materials",
+        "the cheapest model whose error the scene accepts, by what was measured on other materials",
         when=_PLANNED,
         keys=StageKeys(read=_plan),
     ),

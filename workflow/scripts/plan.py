@@ -7,7 +7,7 @@ from brdfpipe.scenes.planning import plan
 
 
 def main(input, output, params):
-    """The cheapest model whose error a scene accepts, by what was measured on like materials."""
+    """The cheapest model whose error a scene accepts, by what was measured on other materials."""
     paths = dict(input.items())
     known = experience.read(Path(paths.pop("experience"))) if "experience" in paths else experience.NONE
     inputs = {name: store.open_dataset(path, name) for name, path in paths.items()}

@@ -34,7 +34,7 @@ class Judged(NamedTuple):
     expected_error: float
     """Infinite where it was tried on too few materials"""
     bound: float
-    """Of its error, with 99 % certainty; infinite where it was tried on too few materials"""
+    """Upper bound of its error, with 99 % certainty; infinite where it was tried on too few materials"""
     cost: float
     """Expected processor time of its build [s]; NaN where it is not known"""
 
@@ -113,7 +113,7 @@ def _reason(choice: Judged, judged: Sequence[Judged], experience: Experience, to
         )
     if all(math.isinf(one.bound) for one in judged if one.candidate != FULLEST):
         return f"no other model was tried on enough of the {len(experience.materials)} materials"
-    return f"of no cheaper one the error is below {tolerance:g} {unit} with 99 % certainty"
+    return f"no cheaper one has an error below {tolerance:g} {unit} with 99 % certainty"
 
 
 def chosen_candidate(plan: xr.Dataset) -> Candidate:

@@ -84,7 +84,7 @@ class SceneKeys(Keys):
     )
     tolerance: float = key("the error that is accepted, in the unit of the metric", required=True, gt=0)
     model: Annotated[str, OneOf(MODELS)] = key(
-        "the model of surfaces: cheapest, the cheapest whose error on like materials the scene accepts; or fullest",
+        "the model of surfaces: cheapest, the cheapest whose error, expected from other materials, the scene accepts; or fullest",
         default=CHEAPEST,
         details="`uncertainty`, `model_error` and `comparison` are of the fullest model; keys of `model` in material.yaml decide themselves.",
     )

@@ -15,7 +15,7 @@ _TITLE = "The cheapest model that the scene accepts"
 
 
 def plan_section(datasets: Mapping[str, xr.Dataset]) -> Section:
-    """Candidates by cost, with the errors that they had on like materials; empty without a plan."""
+    """Candidates by cost, with the errors that are expected from other materials; empty without a plan."""
     section = Section(_TITLE)
     if (plan := datasets.get("plan")) is None:
         return section
@@ -27,7 +27,7 @@ def plan_section(datasets: Mapping[str, xr.Dataset]) -> Section:
     columns = (
         "Model, by what it leaves out",
         f"Expected error{of_unit}",
-        f"Below, 99 % certain{of_unit}",
+        f"Upper bound, 99 %{of_unit}",
         "Processor time [s]",
         "",
     )
