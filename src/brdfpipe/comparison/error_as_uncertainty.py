@@ -21,9 +21,9 @@ def relative_light_error(result: xr.Dataset) -> xr.Dataset:
     Returns
     -------
     Dataset over ``theta_i`` [degree] and ``region``, of traced rays where they hold, else of diffraction, else NaN; the largest of the planes of
-    incidence. ``relative_error`` [1], at most :data:`LARGEST_ERROR`, is √(error² + u²) of rays, whose noise is theirs alone, because the error is not
-    corrected, and the error of diffraction. ``reference_light_u`` [1] is 0 of rays, and of diffraction its relative uncertainty, because the map is
-    finite from which the prediction was made too. Regions are those of the predicted BRDF at the incidence: above 0.3 of its peak, above 0.03, and the
+    incidence. ``relative_error`` [1], at most :data:`LARGEST_ERROR`, is √(error² + u²) where rays are the reference, because the error is not corrected
+    and the noise is that of the rays alone; where diffraction is the reference it is the error. ``reference_light_u`` [1] is then the relative uncertainty of
+    diffraction by the finite map, from which the prediction was made too; 0 for rays. Regions are those of the predicted BRDF at the incidence: above 0.3 of its peak, above 0.03, and the
     rest. A region without light has the values of its neighbour towards the peak, or else of the one outside
     """
     compared = (result["valid"] > 0) & (result["light"] > 0) & (result["reference_light"] > 0)

@@ -37,7 +37,7 @@ class Known:
     features: Mapping[str, float]
     trials: Mapping[Candidate, Trial]
     model_error: float | None = None
-    """What the fullest candidate errs by at least against rays or diffraction on the height map, in the unit of the metric; None where unknown"""
+    """Error that the fullest candidate has at least, against rays or diffraction on the height map, in the unit of the metric; None where unknown"""
 
 
 NEGLIGIBLE = 0.01
@@ -80,7 +80,7 @@ class Experience:
 
     @property
     def model_error(self) -> Regression | None:
-        """Regression of what the fullest model itself errs by at least; None where it is known of too few materials."""
+        """Regression of the error that the fullest model itself has at least; None where it is known of too few materials."""
         judged = [known for known in self.materials if known.model_error is not None]
         return self._regression(MODEL_ERROR, judged, lambda known: known.model_error or 0.0)
 

@@ -94,8 +94,8 @@ def plan(
     of_model = None if usable.model_error is None else usable.model_error.at(in_spreads(found).tolist())
     if of_model is not None and of_model.bound(-CERTAINTY) > tolerance:
         raise ToleranceError(
-            f"scene {scene!r}: the tolerance {tolerance:g} {unit} of the metric {metric!r} is not achievable: on like materials the fullest model "
-            f"errs by about {of_model.bound(0.0):.2g} {unit}; raise `tolerance` to that, or set `model: fullest`"
+            f"scene {scene!r}: the tolerance {tolerance:g} {unit} of the metric {metric!r} is not achievable: materials like this one "
+            f"have an error of about {of_model.bound(0.0):.2g} {unit} with the fullest model; raise `tolerance` to that, or set `model: fullest`"
         )
     result = plan_dataset(judged, choice, found, scene=scene, metric=metric, unit=unit, tolerance=tolerance)
     return vocabulary.add_history(
