@@ -49,6 +49,13 @@ def test_a_lambertian_is_the_same_in_every_direction():
     assert "Add a `surface`" in vocabulary.warnings(bsdf)[0]
 
 
+def test_a_diffuse_part_of_incidence_and_wavelength_together_is_refused():
+    bsdf = lambert_gauss.lambertian(samples.spectrum(0.5))
+    both = bsdf["lambert"].broadcast_like(bsdf["gauss_peak"]).transpose("theta_i", "wavelength")
+    with pytest.raises(VocabularyError, match=r"'lambert' has dimensions \('theta_i', 'wavelength'\)"):
+        vocabulary.validate(bsdf.assign(lambert=both), "bsdf")
+
+
 @pytest.mark.parametrize(("fwhm", "ratio"), [(5, 0.99794), (10, 0.99181), (20, 0.96781)])
 def test_the_small_angle_formula_of_the_reflectance_errs_as_printed(fwhm, ratio):
     # R_gauss ≈ 2π G0 σ⊥ σ∥ cos θ_i; the references are exact over approximate.

@@ -33,7 +33,7 @@ class LambertGauss(Representation):
     name = "lambert_gauss"
     kind = vocabulary.Kind(
         required={
-            "lambert": [("theta_i", "wavelength"), ("theta_i",), ("wavelength",), ()],
+            "lambert": [("theta_i",), ("wavelength",), ()],
             "gauss_peak": [("theta_i",)],
             "gauss_fwhm_parallel": [("theta_i",)],
             "gauss_fwhm_perpendicular": [("theta_i",)],
