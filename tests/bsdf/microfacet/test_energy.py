@@ -60,7 +60,7 @@ def test_the_table_is_an_upper_bound_of_the_integral(a, n, k):
 
 
 @pytest.mark.parametrize("a", [0.05, pytest.param(0.3, marks=pytest.mark.slow)])
-def test_the_table_with_traced_visibility_is_an_upper_bound_too(a):
+def test_the_table_with_traced_visibility_is_an_upper_bound_but_for_the_noise_of_its_integral(a):
     ratio = 0.8 + 0.2 * np.random.default_rng(4).random((17, 12, 6))
     ratio = VisibilityRatio.of(samples.visibility_table(ratio))
     surface = replace(Microsurface.of(facets.analytic("beckmann", a)), ratio=ratio)

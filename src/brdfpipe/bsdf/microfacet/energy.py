@@ -301,8 +301,9 @@ def _sum(first: PPoly, second: PPoly) -> PPoly:
 def tabulated(surface: Microsurface, albedo: Callable[[Array, Array], Array], exact: Array) -> AlbedoTable:
     """Table of a directional albedo, (θ, φ) in degree → (n, wavelength), with ``exact`` among its nodes θ.
 
-    It is an upper bound: between the nodes the spline deviates in both directions (by up to 2e-9; with traced visibility 1e-6), and the table is raised by the largest
-    deviation. Facets, and the base that the rest of the light enters, together then conserve energy.
+    It is an upper bound: between the nodes the spline deviates by up to 2e-9 in both directions, and the table is raised by the largest
+    deviation. Facets, and the base that the rest of the light enters, together then conserve energy. With traced visibility the spline deviates by
+    up to 1e-6, and all this holds to 1e-5, the noise of the integral.
     """
     if surface.isotropic:
         error = _INTERPOLATION_ERROR if surface.ratio is None else _TRACED_ERROR
