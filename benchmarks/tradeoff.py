@@ -54,7 +54,7 @@ SIZE = 256
 """Heights along each axis of a random map."""
 POINTS = 4096
 """Heights of a random line."""
-MATERIALS = 200
+MATERIALS = 160
 KINDS = {
     "normal": 0.18,
     "polished": 0.2,
