@@ -25,8 +25,9 @@ import resolution_choices
 import rig_choices
 import surface_choices
 from choice_table import Choice, summary_of_sources, table
-from pages import renewed
 from previous import LESS_ACCURATE, SLOWER, compare
+
+from brdfpipe.descriptions.rendering import with_section
 
 PROJECT = Path(__file__).resolve().parents[1]
 RECORD = PROJECT / "benchmarks" / "results" / "choices.json"
@@ -100,7 +101,7 @@ def _against_before(summary: Record) -> list[str]:
 
 def with_tables(page: str, summary: Record) -> str:
     """The page with its tables renewed."""
-    return renewed(page, "choices", "\n".join(["", *tables(summary), ""]))
+    return with_section(page, "choices", "\n".join(["", *tables(summary), ""]))
 
 
 if __name__ == "__main__":

@@ -22,12 +22,12 @@ from typing import Any
 
 import click
 import numpy as np
-from pages import renewed
 from previous import compare
 from tradeoff import measure
 
 from brdfpipe import store
 from brdfpipe.catalogue.catalogue import load
+from brdfpipe.descriptions.rendering import with_section
 from brdfpipe.report.plots.svg import Axis, Line, Points, chart
 from brdfpipe.scenes.candidate_model import build
 from brdfpipe.scenes.experience import candidate_of
@@ -139,8 +139,7 @@ def section(materials: Mapping[str, Mapping[str, Any]], scenes: Sequence[Scene])
     lines: list[str] = []
     for scene in scenes:
         metric, unit, tolerance = (scene.accepted_error[name] for name in ("metric", "unit", "tolerance"))
-        of_unit = "" if unit == "1" else f" {unit}"
-        lines += [f"### `{scene.name}`", "", f"Metric {metric}, accepted {tolerance:g}{of_unit}.", ""]
+        lines += [f"### `{scene.name}`", "", f"Metric {metric}, accepted {tolerance:g} {unit}.", ""]
         lines += [f"![Error against time of the models for {scene.name}](tradeoff/{scene.name}.svg)", ""]
         lines += [f"| Material | {' | '.join(COLUMNS)} | Error | Time, s | Bytes |", "|---" * (len(COLUMNS) + 4) + "|"]
         for name, rows in materials.items():
@@ -176,8 +175,8 @@ def figure(materials: Mapping[str, Mapping[str, Any]], scene: Scene) -> str:
     least = tolerance / 1000
     errors = [max(error, least) for points in of_scene.values() for error, _ in points.values()]
     x = Axis("processor time of the build [s]", min(costs) / 1.5, max(costs) * 1.5, log=True)
-    unit = "" if scene.accepted_error["unit"] == "1" else f" [{scene.accepted_error['unit']}]"
-    y = Axis(f"error, metric {scene.content['metric']}{unit}", least / 1.5, max(*errors, tolerance) * 2, log=True)
+    unit = scene.accepted_error["unit"]
+    y = Axis(f"error, metric {scene.content['metric']} [{unit}]", least / 1.5, max(*errors, tolerance) * 2, log=True)
     marks: list[Any] = [Line([x.low, x.high], [tolerance, tolerance], "tolerance", pattern="dash")]
     for number, points in enumerate(of_scene.values()):
         along = front(points)
@@ -218,7 +217,7 @@ def main() -> None:
     FIGURES.mkdir(exist_ok=True)
     for scene in scenes:
         store.write_text(FIGURES / f"{scene.name}.svg", figure(materials, scene))
-    store.write_text(PAGE, renewed(PAGE.read_text(), SECTION, section(materials, scenes)))
+    store.write_text(PAGE, with_section(PAGE.read_text(), SECTION, section(materials, scenes)))
 
 
 if __name__ == "__main__":

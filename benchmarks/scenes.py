@@ -13,9 +13,8 @@ import tempfile
 import time
 from pathlib import Path
 
-from pages import renewed
-
 from brdfpipe.catalogue.catalogue import load
+from brdfpipe.descriptions.rendering import with_section
 from brdfpipe.scenes.scene import shipped_scenes
 
 PROJECT = Path(__file__).resolve().parents[1]
@@ -85,7 +84,7 @@ def with_costs(page: str, costs: dict[str, dict[str, float]]) -> str:
             f"| `{name}` | {one['jobs']:g} | {one['cpu_s']:.1f} s | {one['cpu_without_rig_s']:.1f} s | {one['bytes'] / 1e6:.1f} MB | "
             f"{one['bytes_without_rig'] / 1e6:.1f} MB | {times:.1f} × |"
         )
-    return renewed(page, "costs", "\n".join(rows))
+    return with_section(page, "costs", "\n".join(rows))
 
 
 if __name__ == "__main__":

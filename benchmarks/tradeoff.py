@@ -24,11 +24,11 @@ from typing import Any
 import click
 import numpy as np
 import xarray as xr
-from pages import renewed
 
 from brdfpipe import store
 from brdfpipe.appearance.validity import SIGNIFICANT
 from brdfpipe.comparison.model_error import model_error
+from brdfpipe.descriptions.rendering import with_section
 from brdfpipe.errors import BrdfpipeError
 from brdfpipe.facets.analytic_distributions import analytic
 from brdfpipe.facets.estimation import estimate
@@ -325,7 +325,7 @@ def main(materials: int, folder: Path, processes: int) -> None:
         path.parent.mkdir(exist_ok=True)
         experience.write(path)
         figures[scene.name] = left_out(scene, experience, rows)
-    store.write_text(PAGE, renewed(PAGE.read_text(), "planner", planner_table(figures)))
+    store.write_text(PAGE, with_section(PAGE.read_text(), "planner", planner_table(figures)))
     click.echo(planner_table(figures))
 
 

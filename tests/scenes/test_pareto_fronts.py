@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import pytest
-from pages import renewed
 from pareto_fronts import front, record
 
+from brdfpipe.descriptions.rendering import with_section
 from brdfpipe.scenes.ladders import FULLEST, Candidate
 from brdfpipe.scenes.scene import load_scene
 
@@ -41,6 +41,6 @@ def test_the_record_has_relative_times_and_what_is_on_the_front():
 
 def test_only_the_named_section_of_a_page_is_replaced():
     page = "a\n<!-- one -->\nold\n<!-- end -->\nb\n<!-- two -->\nkept\n<!-- end -->\n"
-    assert renewed(page, "one", "new \\1") == page.replace("old", "new \\1")
+    assert with_section(page, "one", "new \\1") == page.replace("old", "new \\1")
     with pytest.raises(ValueError, match="three"):
-        renewed(page, "three", "")
+        with_section(page, "three", "")

@@ -218,8 +218,17 @@ def _form(place: Declared) -> str:
 def with_tables(text: str, tables: Mapping[str, str]) -> str:
     """A page with its tables of keys renewed, each between ``<!-- keys: NAME -->`` and ``<!-- end -->``."""
     for name, rows in tables.items():
-        pattern = re.compile(rf"(<!-- keys: {re.escape(name)} -->\n).*?(<!-- end -->)", re.DOTALL)
-        text, count = pattern.subn(lambda match, rows=rows: f"{match[1]}{rows}\n{match[2]}", text)  # type: ignore[misc]
-        if count != 1:
-            raise ValueError(f"the page has {count} places for the table {name!r}, not one")
+        text = with_section(text, f"keys: {name}", rows)
+    return text
+
+
+def with_section(text: str, name: str, content: str) -> str:
+    """A page whose section between ``<!-- NAME -->`` and ``<!-- end -->`` is replaced.
+
+    Raises ValueError: the page does not have one such section.
+    """
+    pattern = re.compile(rf"(<!-- {re.escape(name)} -->\n).*?(<!-- end -->)", re.DOTALL)
+    text, count = pattern.subn(lambda match: f"{match[1]}{content}\n{match[2]}", text)
+    if count != 1:
+        raise ValueError(f"the page has {count} places for the table {name.removeprefix('keys: ')!r}, not one")
     return text

@@ -23,11 +23,10 @@ def plan_section(datasets: Mapping[str, xr.Dataset]) -> Section:
     order = np.argsort(np.where(np.isnan(costs), np.inf, costs), kind="stable")
     rows = [_row(plan, int(at)) for at in order]
     unit, tolerance = plan.attrs["unit"], float(plan.attrs["tolerance"])
-    of_unit = "" if unit == "1" else f" [{unit}]"
     columns = (
         "Model, by what it leaves out",
-        f"Expected error{of_unit}",
-        f"Upper bound, 99 %{of_unit}",
+        f"Expected error [{unit}]",
+        f"Upper bound, 99 % [{unit}]",
         "Processor time [s]",
         "",
     )
