@@ -13,7 +13,7 @@ from typing import Any
 
 import yaml
 
-from brdfpipe.errors import InputError
+from brdfpipe.errors import InputError, printable
 
 MAX_BYTES = 1_000_000
 MAX_DEPTH = 40
@@ -51,25 +51,53 @@ def file_beside(description: Path, value: str, where: str, folder: str = "the de
 
     Raises
     ------
-    InputError : the path leads outside the folder, cannot be used in a workflow, or no such file exists.
+    InputError : the path leads outside the folder or cannot be followed, cannot be used in a workflow, or no such file exists.
     """
     home = description.parent
     inside = f"the name of a file in {folder}"
     relative = PurePosixPath(value)
     if "\0" in value or relative.is_absolute() or ".." in relative.parts:
         raise InputError(description, f"points outside {folder}", where=where, found=repr(value), accepted=inside)
-    target = (home / value).resolve()
+    target = resolved(home / value)
+    if target is None:
+        problem = "symbolic links form a loop"
+        raise InputError(description, problem, where=where, found=repr(value), accepted=inside)
     if not target.is_relative_to(home.resolve()):
         raise InputError(description, f"leads outside {folder}", where=where, found=repr(value), accepted=inside)
-    if set("{}\n") & set(str(target)):  # the workflow would take a brace for a wildcard
-        problem = "a brace or a line break in the file's name or in a folder above it"
-        raise InputError(description, problem, where=where, found=repr(value), accepted="a path without braces")
+    if problem := problem_in_workflow(target):
+        accepted = "a path without these characters"
+        raise InputError(description, problem, where=where, found=repr(value), accepted=accepted)
     if not target.is_file():
         present = sorted(item.name for item in home.iterdir() if item.is_file() and item.name != description.name)
         listed = ", ".join(present[:10]) or f"none; {folder} holds no other file, put it there"
         problem = f"no such file{nearest(value, present)}"
         raise InputError(description, problem, where=where, found=repr(value), accepted=listed)
     return target
+
+
+def refuse_link_outside(description: Path, folder: str) -> None:
+    """Refuse a description that is a symbolic link out of its own folder: messages would quote another file. Raises InputError."""
+    target = resolved(description)
+    if target is None or not target.is_relative_to(description.parent.resolve()):
+        problem = "is a symbolic link to another folder, or one of a loop"
+        raise InputError(description, problem, accepted=f"a file in {folder}")
+
+
+def resolved(path: Path) -> Path | None:
+    """The path without symbolic links; None if they form a loop."""
+    try:
+        return path.resolve()
+    except (OSError, RuntimeError):  # RuntimeError: a loop, until Python 3.13
+        return None
+
+
+def problem_in_workflow(path: Path) -> str | None:
+    """Why the workflow cannot use a path, or None: it takes braces and angle brackets for names of its own, and wants UTF-8."""
+    if set("{}<>\n") & set(str(path)):
+        return "a brace, an angle bracket or a line break in the name of the file or of a folder above it"
+    if printable(str(path)) != str(path):
+        return "the name of the file or of a folder above it is not UTF-8"
+    return None
 
 
 def nearest(word: str, known: Iterable[str]) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import re
 from pathlib import Path
@@ -395,7 +396,72 @@ def test_a_file_outside_the_materials_folder_is_refused(tmp_path: Path, file: st
 def test_a_brace_in_a_path_is_refused_before_the_workflow_takes_it_for_a_wildcard(tmp_path: Path) -> None:
     material = write(tmp_path, "m", "spectrum: {file: '{x}.txt', geometry: sci}")
     (material / "{x}.txt").write_text("1 2")
-    assert "a brace or a line break" in catalogue.load(tmp_path).failures["m"]
+    assert "a brace, an angle bracket or a line break" in catalogue.load(tmp_path).failures["m"]
+
+
+def test_an_angle_bracket_in_a_path_is_refused_before_the_workflow_takes_it_for_a_variable(tmp_path: Path) -> None:
+    material = write(tmp_path, "m", "spectrum: {file: 'a<word>.txt', geometry: sci}")
+    (material / "a<word>.txt").write_text("1 2")
+    assert "an angle bracket" in catalogue.load(tmp_path).failures["m"]
+
+
+@pytest.mark.parametrize("name", [b"c<word>", b"c{word}", b"c\xff"])
+def test_a_catalogue_that_the_workflow_cannot_name_is_refused_at_once(tmp_path: Path, name: bytes) -> None:
+    folder = tmp_path / os.fsdecode(name)
+    try:
+        write(folder, "m")
+    except OSError:
+        pytest.skip("this file system takes no such name")
+    with pytest.raises(catalogue.CatalogueError, match="rename or move the catalogue") as refusal:
+        catalogue.load(folder)
+    assert str(refusal.value).encode("utf-8")
+
+
+def test_a_loop_of_links_stops_no_other_material(tmp_path: Path) -> None:
+    write(tmp_path, "good")
+    (write(tmp_path, "raw", SCAN) / "a.txt").symlink_to("a.txt")
+    (tmp_path / "description").mkdir()
+    (tmp_path / "description" / "material.yaml").symlink_to("material.yaml")
+    (tmp_path / "folder").symlink_to("folder")
+    loaded = catalogue.load(tmp_path)
+    assert [item.name for item in loaded.materials] == ["good"]
+    assert "symbolic links form a loop" in loaded.failures["raw"]
+
+
+def test_a_description_that_links_outside_is_refused_and_not_quoted(tmp_path: Path) -> None:
+    (tmp_path / "secret").write_text("password: swordfish\n")
+    write(tmp_path / "catalogue", "good")
+    (tmp_path / "catalogue" / "bad").mkdir()
+    (tmp_path / "catalogue" / "bad" / "material.yaml").symlink_to(tmp_path / "secret")
+    reason = catalogue.load(tmp_path / "catalogue").failures["bad"]
+    assert "symbolic link to another folder" in reason
+    assert "password" not in reason
+
+
+def test_a_folder_without_permission_stops_no_other_material(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    write(tmp_path, "good")
+    write(tmp_path, "locked")
+    is_file = Path.is_file
+
+    def refused(path: Path) -> bool:  # permissions do not bind the superuser, who may run the tests
+        if path.parent.name == "locked":
+            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(path))
+        return is_file(path)
+
+    monkeypatch.setattr(Path, "is_file", refused)
+    loaded = catalogue.load(tmp_path)
+    assert [item.name for item in loaded.materials] == ["good"]
+    assert loaded.failures["locked"] == "material.yaml: its folder cannot be read (Permission denied); allow reading it"
+    assert catalogue.ignored(tmp_path)["locked"] == "cannot be read (Permission denied)"
+
+
+@pytest.mark.parametrize("name", ["s" + "0" * 20, "x" + "ab" * 20])
+def test_a_name_that_the_workflow_takes_for_an_endless_rule_is_refused(tmp_path: Path, name: str) -> None:
+    write(tmp_path, name)
+    write(tmp_path, name[:-2])
+    loaded = catalogue.load(tmp_path)
+    assert [item.name for item in loaded.materials] == [name[:-2]]
+    assert "20 repetitions" in loaded.failures[name]
 
 
 def test_a_file_in_a_folder_below_is_accepted(tmp_path: Path) -> None:

@@ -15,7 +15,7 @@ from brdfpipe.exchange.registry import FORMATS
 from brdfpipe.scenes import geometries, scene
 from brdfpipe.scenes.metrics import METRICS
 from brdfpipe.scenes.results import PARTS, RESULTS
-from brdfpipe.scenes.scene import Scene, load_scene, refuse_different, shipped_scenes
+from brdfpipe.scenes.scene import Scene, different, load_scene, shipped_scenes
 from brdfpipe.scenes.scene_keys import METRIC_UNITS
 from brdfpipe.stages import STAGES, Subject
 
@@ -123,9 +123,9 @@ def test_names_that_would_mix_results_are_refused(tmp_path: Path) -> None:
     with pytest.raises(BrdfpipeError, match="not an accepted name"):
         load_scene(written(tmp_path, "my scene"))
     one, other = Scene("mine", {"tolerance": 1}), Scene("mine", {"tolerance": 2})
-    refuse_different([one, one])
-    with pytest.raises(InputError, match="another scene of the same name"):
-        refuse_different([one, other])
+    assert different({"a": one}, one) == []
+    assert different({"a": one, "b": other}, load_scene("catalogue")) == ["b"]
+    assert different({"a": one}, other) == ["a"]
 
 
 def test_the_command_line_comes_before_the_material_and_that_before_the_configuration(tmp_path: Path) -> None:
@@ -144,6 +144,28 @@ def test_the_command_line_comes_before_the_material_and_that_before_the_configur
     assert chosen() == {"file": "mine", "own": "render-preview", "plain": "catalogue"}
     assert chosen(load_config(config)) == {"file": "mine", "own": "render-preview", "plain": "of-all"}
     assert set(chosen(load_config(config), "gloss-sheet").values()) == {"gloss-sheet"}
+
+
+def test_a_material_with_another_scene_of_the_same_name_stops_no_other(tmp_path: Path) -> None:
+    for name, tolerance in (("a", 1), ("b", 2)):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "material.yaml").write_text(COLOUR + "scene: mine.yaml\n")
+        written(tmp_path / name, "mine", MINIMAL.replace("tolerance: 1", f"tolerance: {tolerance}") + f"# {name}\n")
+    loaded = load(tmp_path)
+    assert [item.name for item in loaded.materials] == ["a"]
+    assert "another scene of the same name" in loaded.failures["b"]
+
+
+@pytest.mark.parametrize("path", ["../../mine.yaml", "link.yaml"])
+def test_a_scene_outside_the_catalogue_is_refused_and_not_quoted(tmp_path: Path, path: str) -> None:
+    folder = tmp_path / "catalogue" / "bad"
+    folder.mkdir(parents=True)
+    (tmp_path / "mine.yaml").write_text("secret: 1\n")
+    (folder / "link.yaml").symlink_to(tmp_path / "mine.yaml")
+    (folder / "material.yaml").write_text(COLOUR + f"scene: {path}\n")
+    reason = load(tmp_path / "catalogue").failures["bad"]
+    assert "leads outside the catalogue" in reason
+    assert "secret" not in reason
 
 
 def test_a_material_with_an_unknown_scene_stops_no_other(tmp_path: Path) -> None:

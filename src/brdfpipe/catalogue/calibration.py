@@ -43,8 +43,9 @@ def load_calibrations(folder: Path) -> dict[str, Calibration | str]:
 
 def _load_calibration(path: Path) -> Calibration:
     check_name(path.parent.name)
-    content = reading.read(path, calibration_keys.Calibration)
     folder = "the calibration's folder"
+    documents.refuse_link_outside(path, folder)
+    content = reading.read(path, calibration_keys.Calibration)
     files = {"rig": documents.file_beside(path, *run_file(content, ""), folder)}
     files["certificate"] = documents.file_beside(path, content["certificate"], "certificate", folder)
     return Calibration(path.parent.name, path.parent, content, files)

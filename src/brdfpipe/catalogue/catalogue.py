@@ -17,9 +17,10 @@ from brdfpipe import documents
 from brdfpipe.catalogue.calibration import Calibration, load_calibrations
 from brdfpipe.catalogue.configuration import load_config
 from brdfpipe.catalogue.material import Material, load_material
-from brdfpipe.catalogue.names import CALIBRATION, CALIBRATIONS, DESCRIPTION, RESULT_MARKS, CatalogueError
+from brdfpipe.catalogue.names import CALIBRATION, CALIBRATIONS, DESCRIPTION, RESERVED, RESULT_MARKS, CatalogueError
+from brdfpipe.descriptions.keys import NAME
 from brdfpipe.errors import BrdfpipeError, InputError, printable
-from brdfpipe.scenes.scene import Scene, load_scene, refuse_different
+from brdfpipe.scenes.scene import Scene, different, load_scene
 from brdfpipe.stages import STAGES, Subject
 
 
@@ -88,30 +89,47 @@ def load(folder: Path, config: Mapping[str, Any] | None = None, scene: str | Non
     """
     config = load_config() if config is None else config
     of_catalogue = load_scene(scene or config["scene"])
-    folder = Path(folder).resolve()
+    folder = documents.resolved(Path(folder)) or Path(folder)
     if not folder.is_dir():
-        raise CatalogueError(f"{folder}: no such folder")
+        raise CatalogueError(f"{printable(str(folder))}: no such folder")
+    if problem := documents.problem_in_workflow(folder):
+        raise CatalogueError(f"{printable(str(folder))}: {problem}; rename or move the catalogue")
     if (folder / DESCRIPTION).is_file():
         raise CatalogueError(f"{folder}: is a material, not a catalogue; give the folder above it")
-    folders = sorted(path.parent for path in folder.glob(f"*/{DESCRIPTION}") if not path.parent.name.startswith("."))
-    if not folders:
+    folders, unreadable = _folders_of_materials(folder)
+    if not folders and not unreadable:
         hints = "".join(f"; {name}: {reason}" for name, reason in [*ignored(folder).items()][:3])
         raise CatalogueError(f"{folder}: holds no material; `brdfpipe new NAME --folder {folder}` starts one{hints}")
     given = of_catalogue if scene else None
     outcomes = {printable(path.name): _load_or_refusal(path, config, given) for path in folders}
-    loaded = {name: item if isinstance(item, Material) else str(item) for name, item in outcomes.items()}
+    loaded = {name: item if isinstance(item, Material) else str(item) for name, item in outcomes.items()} | unreadable
     further = {name: item.others for name, item in outcomes.items() if isinstance(item, InputError) and item.others}
     duplicates = _duplicate_names(loaded)
     failures = {name: item for name, item in loaded.items() if isinstance(item, str)} | duplicates
     materials = {item.name: item for key, item in loaded.items() if isinstance(item, Material) and key not in failures}
     calibrations = load_calibrations(folder)
-    for name, refusal in _rig_refusals(materials, calibrations).items():
+    refusals = _rig_refusals(materials, calibrations) | _scene_refusals(materials, of_catalogue)
+    for name, refusal in refusals.items():
         failures[name] = refusal
         del materials[name]
     usable = {name: item for name, item in calibrations.items() if isinstance(item, Calibration)}
     in_order = tuple(materials[name] for name in sorted(materials))
-    refuse_different([of_catalogue, *(material.scene for material in in_order)])
     return Catalogue(folder, in_order, failures, config, of_catalogue, usable, further)
+
+
+def _folders_of_materials(folder: Path) -> tuple[list[Path], dict[str, str]]:
+    """Folders with a description, and those that may be materials but cannot be read: name → refusal."""
+    found, unreadable = [], {}
+    for item in sorted(folder.iterdir()):
+        if item.name.startswith("."):
+            continue
+        try:
+            if (item / DESCRIPTION).is_file():
+                found.append(item)
+        except OSError as error:
+            if re.fullmatch(NAME, item.name) and item.name not in RESERVED:
+                unreadable[item.name] = f"{DESCRIPTION}: its folder cannot be read ({error.strerror}); allow reading it"
+    return found, unreadable
 
 
 def _load_or_refusal(folder: Path, config: Mapping[str, Any], scene: Scene | None) -> Material | BrdfpipeError:
@@ -119,6 +137,8 @@ def _load_or_refusal(folder: Path, config: Mapping[str, Any], scene: Scene | Non
         return load_material(folder, config, scene)
     except BrdfpipeError as error:
         return error
+    except OSError as error:
+        return InputError(error.filename or folder / DESCRIPTION, f"cannot be read ({error.strerror})")
 
 
 def _duplicate_names(loaded: Mapping[str, Material | str]) -> dict[str, str]:
@@ -137,6 +157,23 @@ def _duplicate_names(loaded: Mapping[str, Material | str]) -> dict[str, str]:
         )
         for folder, name in names.items()
         if counts[name.casefold()] > 1 and isinstance(loaded[folder], Material)
+    }
+
+
+def _scene_refusals(materials: Mapping[str, Material], of_catalogue: Scene) -> dict[str, str]:
+    """Refusals of materials with a scene of the name of another one."""
+    scenes = {name: materials[name].scene for name in sorted(materials)}
+    return {
+        name: str(
+            InputError(
+                materials[name].folder / DESCRIPTION,
+                "another scene of the same name is used, by the catalogue or by another material",
+                where="scene",
+                found=repr(materials[name].content.get("scene", scenes[name].name)),
+                accepted="a file with a name of its own",
+            )
+        )
+        for name in different(scenes, of_catalogue)
     }
 
 
@@ -171,18 +208,21 @@ def ignored(folder: Path) -> dict[str, str]:
     """Folders that look like materials and are ignored: name → what was found and what to do, in one line."""
     reasons: dict[str, str] = {}
     for item in sorted(item for item in folder.iterdir() if item.is_dir() and not item.name.startswith((".", "_"))):
-        if item.name == CALIBRATIONS or (item / DESCRIPTION).is_file():
+        if item.name == CALIBRATIONS:
             continue
-        if not any((item / mark).exists() for mark in RESULT_MARKS) and (reason := _reason_to_ignore(item)):
+        try:
+            reason = _reason_to_ignore(item)
+        except OSError as error:
+            reason = f"cannot be read ({error.strerror})"
+        if reason:
             reasons[printable(item.name)] = reason
     return reasons
 
 
 def _reason_to_ignore(folder: Path) -> str | None:
-    try:
-        names = sorted(item.name for item in folder.iterdir() if not item.name.startswith("."))
-    except OSError as error:
-        return f"cannot be read ({error.strerror})"
+    if (folder / DESCRIPTION).is_file() or any((folder / mark).exists() for mark in RESULT_MARKS):
+        return None
+    names = sorted(item.name for item in folder.iterdir() if not item.name.startswith("."))
     misnamed = [name for name in names if re.fullmatch(r"material\.ya?ml(\.txt)?", name, re.IGNORECASE)]
     if misnamed:
         return f"{misnamed[0]} is not read; rename it to {DESCRIPTION}"

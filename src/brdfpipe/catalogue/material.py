@@ -13,7 +13,7 @@ from brdfpipe.catalogue.calibration import run_file
 from brdfpipe.catalogue.names import DESCRIPTION, CatalogueError, check_name
 from brdfpipe.descriptions import reading
 from brdfpipe.errors import BrdfpipeError, InputError
-from brdfpipe.scenes.scene import Scene, load_scene
+from brdfpipe.scenes.scene import Scene, is_file, load_scene
 
 FILE_PARTS = ("surface", "index", "spectrum", "multiangle")
 """Parts of a description that may name a raw file."""
@@ -66,6 +66,7 @@ def load_material(folder: Path, config: Mapping[str, Any], scene: Scene | None =
     InputError : naming the file, the line, the key, what was found and what is accepted.
     """
     path = folder / DESCRIPTION
+    documents.refuse_link_outside(path, "the material's folder")
     content = reading.read(path, material_keys.Material)
     name = str(content.get("name", folder.name))
     check_name(name, path)
@@ -85,6 +86,11 @@ def _scene_of(path: Path, content: Mapping[str, Any], config: Mapping[str, Any])
     """The scene that a description names, or that of the configuration."""
     if "scene" not in content:
         return load_scene(config["scene"])
+    if is_file(content["scene"]):
+        target = documents.resolved(path.parent / content["scene"])
+        if target is None or not target.is_relative_to(path.parent.parent.resolve()):
+            found, accepted = repr(content["scene"]), "a file in the catalogue, or the name of a shipped scene"
+            raise InputError(path, "leads outside the catalogue", where="scene", found=found, accepted=accepted)
     try:
         return load_scene(content["scene"], path.parent)
     except BrdfpipeError as error:

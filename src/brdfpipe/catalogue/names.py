@@ -36,6 +36,9 @@ def check_name(name: str, path: Path | None = None) -> None:
         problem, key, accepted = "not an accepted name", "name", NAME_WORDS
     elif name.casefold() in RESERVED:
         problem, key, accepted = "a reserved name", None, "any other name"
+    elif re.search(r"(.+)\1{19}$", name):
+        # Snakemake takes it for a rule that feeds itself, and refuses the whole workflow.
+        problem, key, accepted = "ends with 20 repetitions of one text", "name", "a name without them"
     else:
         return
     if path is None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from pathlib import Path
@@ -13,7 +13,7 @@ from typing import Any
 from brdfpipe import documents, installation
 from brdfpipe.descriptions import reading
 from brdfpipe.descriptions.keys import NAME, NAME_WORDS
-from brdfpipe.errors import BrdfpipeError, InputError
+from brdfpipe.errors import BrdfpipeError
 from brdfpipe.scenes.domain import Domain
 from brdfpipe.scenes.results import PARTS
 from brdfpipe.scenes.scene_keys import AS_MATERIAL, CHEAPEST, METRIC_UNITS, SceneKeys
@@ -159,14 +159,7 @@ def _read_once(path: Path, time: int) -> Scene:
     return Scene(path.stem, reading.read(path, SceneKeys))
 
 
-def refuse_different(scenes: Iterable[Scene]) -> None:
-    """Refuse scenes of the same name with different contents: their results have the same folder.
-
-    Raises InputError.
-    """
-    digests: dict[str, str] = {}
-    for scene in scenes:
-        if digests.setdefault(scene.name, scene.digest) != scene.digest:
-            raise InputError(
-                f"{scene.name}.yaml", "another scene of the same name is used", accepted="a name of its own"
-            )
+def different(scenes: Mapping[str, Scene], first: Scene) -> list[str]:
+    """Keys of the scenes that have the name of an earlier one, or of ``first``, and another content: their results have the same folder."""
+    digests = {first.name: first.digest}
+    return [key for key, scene in scenes.items() if digests.setdefault(scene.name, scene.digest) != scene.digest]
