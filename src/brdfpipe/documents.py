@@ -64,9 +64,9 @@ def file_beside(description: Path, value: str, where: str, folder: str = "the de
         raise InputError(description, problem, where=where, found=repr(value), accepted=inside)
     if not target.is_relative_to(home.resolve()):
         raise InputError(description, f"leads outside {folder}", where=where, found=repr(value), accepted=inside)
-    if problem := problem_in_workflow(target):
+    if unusable := problem_in_workflow(target):
         accepted = "a path without these characters"
-        raise InputError(description, problem, where=where, found=repr(value), accepted=accepted)
+        raise InputError(description, unusable, where=where, found=repr(value), accepted=accepted)
     if not target.is_file():
         present = sorted(item.name for item in home.iterdir() if item.is_file() and item.name != description.name)
         listed = ", ".join(present[:10]) or f"none; {folder} holds no other file, put it there"

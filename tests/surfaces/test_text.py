@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tracemalloc
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ from hypothesis import strategies as st
 
 from brdfpipe import vocabulary
 from brdfpipe.errors import InputError
-from brdfpipe.surfaces import level, parameters, read_surface
+from brdfpipe.surfaces import level, parameters, read_surface, text
 
 PRINTED = 6e-6
 """Half of the last digit the tests print, and a little for the float."""
@@ -402,3 +403,20 @@ def test_the_real_hfm_profile_has_its_printed_pitch(shared_data: Path) -> None:
     x, z, _ = np.loadtxt(shared_data / "surfaces" / "hfm-1.hfm", delimiter=";", skiprows=2).T
     rest = (z - np.polyval(np.polyfit(x - x.mean(), z, 1), x - x.mean())) * 1e3
     assert float(parameters(surface).Rq) == pytest.approx(rest.std(), rel=1e-6)
+
+
+def test_a_large_text_takes_a_few_times_its_own_memory(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(text, "_BLOCK", 2**14)  # small beside the text, as for a large file
+    path = tmp_path / "map.txt"
+    row = ";".join(f"{value:.6f}" for value in np.random.default_rng(1).normal(size=1000)) + "\n"
+    path.write_text("# unit: um\n# pitch: 1 1\n" + 400 * row)
+    text.read_text(path)  # imports take memory too
+    tracemalloc.start()
+    try:
+        heights = text.read_text(path)
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert heights.height.shape == (400, 1000)
+    # The text, its bytes, the numbers by column and as one array: as eight-byte numbers they take as much as the text.
+    assert peak < 5 * path.stat().st_size

@@ -9,7 +9,7 @@ import csv
 import io
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -36,6 +36,8 @@ _LENGTH = re.compile(
 _PITCH_SETTING = "a line `# pitch: 0.5 0.5`"
 _NO_LAST_FIELD = re.compile(r"[;,\t]$|[;,\s]-$")
 _TWO_PERCENT = 0.02
+_BLOCK = 2**22
+"""Bytes of text that are examined at once."""
 _COMPARED = 33
 
 
@@ -85,6 +87,7 @@ def read_text(
         raise InputError(path, "unknown layout", found=layout, accepted=", ".join(LAYOUTS), key="surface.layout")
     text, notes = _decoded(path)
     body = _split_header(text, path)
+    del text  # it may be large; the body is a copy
     height_scale, lateral_scale = scales(path, body.settings, unit, lateral_unit, setting="a line `# unit: um`")
     table = _table(body, path)
     steps = pitch_steps(path, body.settings, pitch)
@@ -172,7 +175,7 @@ def _decoded(path: Path) -> tuple[str, list[str]]:
 def _split_header(text: str, path: Path) -> _Body:
     settings: dict[str, str] = {}
     skipped, offset = 0, 0
-    for number, line in enumerate(io.StringIO(text), 1):
+    for number, line in enumerate(_lines(text), 1):
         setting = _SETTING.match(line)
         if setting:
             settings[setting[1].lower()] = setting[2].strip()
@@ -192,6 +195,15 @@ def _split_header(text: str, path: Path) -> _Body:
     )
 
 
+def _lines(text: str) -> Iterator[str]:
+    """Lines with their ends, one at a time: the text may be large."""
+    start = 0
+    while start < len(text):
+        end = text.find("\n", start) + 1 or len(text)
+        yield text[start:end]
+        start = end
+
+
 def _without_comments(text: str) -> str:
     if "#" in text or "%" in text:
         text = re.sub(r"[#%].*", "", text)
@@ -202,7 +214,7 @@ def _without_comments(text: str) -> str:
 def _table(body: _Body, path: Path) -> NDArray[np.float64]:
     """The numbers, (rows, columns); empty columns at the right end are left out."""
     separator, decimal = _marks(body, path)
-    text, lines = _check_rows(body, separator, path)
+    data, lines = _check_rows(body, separator, path)
     options: dict[str, Any] = {
         "header": None,
         "sep": separator or r"\s+",
@@ -211,12 +223,12 @@ def _table(body: _Body, path: Path) -> NDArray[np.float64]:
         "na_values": _MISSING,
         "quoting": csv.QUOTE_NONE,
         "skipinitialspace": True,
-        "low_memory": False,
+        "encoding": "utf-8",
     }
     try:
-        table: NDArray[np.float64] = pd.read_csv(io.StringIO(text), dtype=np.float64, **options).to_numpy()
+        table: NDArray[np.float64] = pd.read_csv(io.BytesIO(data), dtype=np.float64, **options).to_numpy()
     except ValueError:
-        raise _not_a_number(text, options, lines, path) from None
+        raise _not_a_number(data, options, lines, path) from None
     if len(table) != len(lines):
         raise InputError(path, "rows of unequal length", accepted="the same number of fields in every row")
     while table.shape[1] > 1 and np.isnan(table[:, -1]).all() and separator:
@@ -250,48 +262,63 @@ def _decimal_mark(text: str) -> str | None:
     return None if point == comma else "." if point else ","
 
 
-def _check_rows(body: _Body, separator: str | None, path: Path) -> tuple[str, NDArray[np.int64]]:
-    """The text without blank lines, and the line number of each row in the file.
+def _check_rows(body: _Body, separator: str | None, path: Path) -> tuple[bytes, NDArray[np.int64]]:
+    """The text in UTF-8 without blank lines, and the line number of each row in the file.
 
-    The parser would fill short rows with missing values: fields are counted here, on the bytes of the whole file at once.
+    The parser would fill short rows with missing values: fields are counted here, on the bytes of whole blocks of lines.
     """
-    text = body.text if body.text.endswith("\n") else body.text + "\n"
-    data = np.frombuffer(text.encode("utf-8"), np.uint8)
-    ends = np.flatnonzero(data == 10)
-    blank = (data == 32) | (data == 10)
-    if separator != "\t":
-        blank |= data == 9
-    starts = ~blank
-    starts[1:] &= blank[:-1]
-    tokens = _count_per_line(starts, ends)
-    fields = tokens if separator is None else _count_per_line(data == ord(separator), ends) + 1
+    data = body.text.encode("utf-8")
+    data = data if data.endswith(b"\n") else data + b"\n"
+    counts = [_count(block, separator) for block in _blocks(data)]
+    tokens, fields, sizes = (np.concatenate(arrays) for arrays in zip(*counts, strict=True))
     rows = np.flatnonzero(tokens)
     uneven = np.flatnonzero(fields[rows] != fields[rows[0]])
     if uneven.size:
         row = rows[uneven[0]]
         where, accepted = f"line {body.first_line + row}", f"{fields[rows[0]]}, as in line {body.first_line}"
         raise InputError(path, "rows of unequal length", where=where, found=f"{fields[row]} fields", accepted=accepted)
-    if np.count_nonzero(np.diff(ends, prepend=-1) > 1) > rows.size:
-        text = re.sub(r"(?m)^[ \t]+$" if separator != "\t" else r"(?m)^ +$", "", text)
-    return text, body.first_line + rows
+    if np.count_nonzero(sizes > 1) > rows.size:
+        data = re.sub(rb"(?m)^[ \t]+$" if separator != "\t" else rb"(?m)^ +$", b"", data)
+    return data, body.first_line + rows
 
 
-def _count_per_line(marks: NDArray[np.bool_], ends: NDArray[np.int64]) -> NDArray[np.int64]:
-    return np.diff(np.searchsorted(np.flatnonzero(marks), ends), prepend=0)
+def _blocks(data: bytes) -> Iterator[NDArray[np.uint8]]:
+    """The bytes in blocks of whole lines."""
+    start = 0
+    while start < len(data):
+        end = data.find(b"\n", start + _BLOCK) + 1 or len(data)
+        yield np.frombuffer(data, np.uint8, end - start, start)
+        start = end
 
 
-def _not_a_number(text: str, options: dict[str, Any], lines: NDArray[np.int64], path: Path) -> InputError:
-    """Find the field that the parser refused (slow, for failing files only)."""
-    cells = pd.read_csv(io.StringIO(text), dtype=str, **options)
-    for column in cells:
-        numbers = cells[column].str.strip().str.replace(options["decimal"], ".", regex=False)
-        if options["decimal"] == ",":
-            numbers = numbers.where(~cells[column].str.contains(".", regex=False, na=False), "mixed marks")
-        wrong = np.flatnonzero(pd.to_numeric(numbers, errors="coerce").isna() & cells[column].notna())
-        if wrong.size:
-            where, found = f"line {lines[wrong[0]]}, column {int(str(column)) + 1}", str(cells[column].iloc[wrong[0]])
-            accepted = "numbers; comments after #; NaN, *** or an empty field where a height is missing"
-            return InputError(path, "not a number", where=where, found=repr(found[:60]), accepted=accepted)
+def _count(data: NDArray[np.uint8], separator: str | None) -> tuple[NDArray[np.int64], ...]:
+    """Words, fields and bytes of each line; the last byte ends a line."""
+    ends = np.flatnonzero(data == ord("\n"))
+    begins = np.concatenate([[0], ends[:-1] + 1])
+    blank = (data == ord(" ")) | (data == ord("\n"))
+    if separator != "\t":
+        blank |= data == ord("\t")
+    starts = ~blank
+    starts[1:] &= blank[:-1]
+    tokens = np.add.reduceat(starts, begins, dtype=np.int64)
+    fields = tokens if separator is None else np.add.reduceat(data == ord(separator), begins, dtype=np.int64) + 1
+    return tokens, fields, ends - begins + 1
+
+
+def _not_a_number(data: bytes, options: dict[str, Any], lines: NDArray[np.int64], path: Path) -> InputError:
+    """Find the field that the parser refused (slow, for failing files only); of several, one of the first block of rows."""
+    rows = max(1, _BLOCK // max(1, len(data) // len(lines)))
+    for block in pd.read_csv(io.BytesIO(data), dtype=str, chunksize=rows, **options):
+        for column in block:
+            numbers = block[column].str.strip().str.replace(options["decimal"], ".", regex=False)
+            if options["decimal"] == ",":
+                numbers = numbers.where(~block[column].str.contains(".", regex=False, na=False), "mixed marks")
+            wrong = np.flatnonzero(pd.to_numeric(numbers, errors="coerce").isna() & block[column].notna())
+            if wrong.size:
+                line, found = lines[block.index[wrong[0]]], str(block[column].iloc[wrong[0]])
+                where = f"line {line}, column {int(str(column)) + 1}"
+                accepted = "numbers; comments after #; NaN, *** or an empty field where a height is missing"
+                return InputError(path, "not a number", where=where, found=repr(found[:60]), accepted=accepted)
     return InputError(path, "not all fields are numbers", accepted="numbers; comments after #")
 
 
