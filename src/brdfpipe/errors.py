@@ -2,14 +2,25 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from functools import partial
 from pathlib import PurePath
 
+_MISLEADING = re.compile(
+    "[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069\ud800-\udfff]"
+)
+"""Control characters except tabs and line breaks, and characters that reverse the direction of the text after them."""
+
 
 def printable(text: str) -> str:
-    """Text that can be written anywhere: bytes of a file name that are not UTF-8 appear as ``\\xff``."""
-    return text.encode("utf-8", "surrogateescape").decode("utf-8", "backslashreplace")
+    """Text that can be written anywhere and shows what it holds.
+
+    Bytes of a file name that are not UTF-8 appear as ``\\xff``, control characters and those that change the direction of text as
+    ``\\x1b`` and ``\\u202e``: a terminal or a browser would obey them.
+    """
+    decodable = text.encode("utf-8", "surrogateescape").decode("utf-8", "backslashreplace")
+    return _MISLEADING.sub(lambda found: found[0].encode("unicode_escape").decode("ascii"), decodable)
 
 
 def abbreviated(items: Sequence[str], most: int, separator: str = ", ") -> str:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import re
 import shutil
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
@@ -212,7 +213,11 @@ def _cause(error: Exception) -> str:
 def _input_digest(value: str | os.PathLike[str] | xr.Dataset) -> str:
     if isinstance(value, xr.Dataset):
         return str(value.attrs.get("digest") or digest(value))
-    return value if isinstance(value, str) else file_digest(value)
+    if not isinstance(value, str):
+        return file_digest(value)
+    if not re.fullmatch("[0-9a-f]{64}", value):
+        raise ValueError(f"{value!r} is no digest; give the path of a raw file as a pathlib.Path")
+    return value
 
 
 def _json_value(value: Any) -> Any:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import xarray as xr
 from markupsafe import Markup, escape
 
+from brdfpipe.errors import printable
 from brdfpipe.report.cards import WORDS
 
 if TYPE_CHECKING:
@@ -25,8 +26,8 @@ OTHER_SECTIONS = frozenset({"reduced", "primary", "smoothed", "calibration", "co
 
 
 def render(template: str, **context: Any) -> str:
-    """A page from its template; every value that is not :class:`Markup` is escaped."""
-    return _environment().get_template(template).render(**context)
+    """A page from its template; every value that is not :class:`Markup` is escaped, and no character of any is hidden."""
+    return printable(_environment().get_template(template).render(**context))
 
 
 def with_code(text: object) -> Markup:

@@ -183,6 +183,13 @@ def test_text_of_users_never_becomes_markup_in_the_catalogue(full: Datasets, pla
     assert "<img" not in html
 
 
+def test_hidden_characters_are_shown_in_the_catalogue(full: Datasets) -> None:
+    hidden = "a\x00\x1b[2J\u202egpj.exe"
+    html = catalogue_page(combine([_row(full, "a", hidden)]), {"b": {"stage": hidden, "message": hidden}})
+    assert html.count(r"a\x00\x1b[2J\u202egpj.exe") == 3
+    assert not set(html) & set("\x00\x1b\u202e")
+
+
 def test_a_thousand_materials_make_a_small_page(full: Datasets) -> None:
     catalogue = combine([_row(full, "a", "Grained panel")]).isel(material=np.zeros(1000, dtype=int))
     catalogue = catalogue.assign_coords(material=[f"material-{k:04d}" for k in range(1000)])

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import json
 
+import numpy as np
 import pytest
 from catalogue_rows import FAILURES, Datasets
 from catalogue_rows import row as _row
@@ -29,6 +30,16 @@ def test_no_text_of_a_user_becomes_a_formula(full: Datasets, text: str) -> None:
         cell for line in table for name, cell in line.items() if name in ("material", "description", "stage", "message")
     ]
     assert sum(cell == "'" + text.strip() for cell in cells) == 4
+
+
+def test_no_column_of_text_becomes_a_formula(full: Datasets) -> None:
+    row = _row(full, "a")
+    text = {
+        name: value.copy(data=np.full(value.shape, "=1+1")) for name, value in row.items() if value.dtype.kind in "UO"
+    }
+    (line,) = _table(catalogue_csv(combine([row]).assign(text), {}))
+    assert not [name for name, cell in line.items() if cell.startswith("=")]
+    assert "'=1+1" in line.values()
 
 
 def test_negative_numbers_stay_numbers(full: Datasets) -> None:

@@ -22,9 +22,6 @@ from brdfpipe.report.formatting import colour
 from brdfpipe.report.plots.svg import data_uri
 from brdfpipe.report.rendering import material_name, own_stages
 
-_UNTRUSTED = ("material", "route", "basis", "verdict_text", "description", "stage", "message")
-"""Columns with text from users and their files."""
-
 _ROUNDING_ERROR = 1e-9
 """Largest magnitude that is written as 0: the rounding error of sums."""
 
@@ -191,13 +188,13 @@ def catalogue_csv(catalogue: xr.Dataset, failures: Mapping[str, Mapping[str, str
 
     Notes
     -----
-    A spreadsheet reads text that starts with ``= + - @`` as a formula. Such text from users and their files gets an apostrophe in
-    front. Control characters and line breaks become spaces.
+    A spreadsheet reads text that starts with ``= + - @`` as a formula. Such text gets an apostrophe in front. Control characters and line breaks become spaces.
     """
     names = ("route", "basis", "verdict", "verdict_checks", "verdict_text")
     columns = {name: texts(catalogue, name) for name in ("material", *names)}
     columns["warnings"] = [str(count) for count in catalogue["warning_count"].values.tolist()]
-    for name in _number_columns(catalogue.variables):
+    numbers = _number_columns(catalogue.variables)
+    for name in numbers:
         values = catalogue[name].values.astype(float)
         rounded = np.where(np.abs(values) < _ROUNDING_ERROR, 0.0, values).tolist()
         columns[name] = ["" if math.isnan(value) else f"{value:.6g}" for value in rounded]
@@ -212,7 +209,7 @@ def catalogue_csv(catalogue: xr.Dataset, failures: Mapping[str, Mapping[str, str
     writer.writeheader()
     for row in sorted(rows, key=lambda row: row["material"]):
         writer.writerow(
-            {name: _escape_formula(row.get(name, "")) if name in _UNTRUSTED else row.get(name) for name in header}
+            {name: row.get(name) if name in numbers else _escape_formula(row.get(name, "")) for name in header}
         )
     return stream.getvalue()
 
