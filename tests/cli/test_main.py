@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import sys
 from collections.abc import Mapping
 from importlib.metadata import version
@@ -12,6 +13,7 @@ from click.testing import CliRunner, Result
 
 from brdfpipe.cli import main as cli
 from brdfpipe.jobs.summary import Summary
+from brdfpipe.releases.differences import Difference
 
 COLOUR = "spectrum: {lab: [50, 0, 0], illuminant: D65, observer: 10, geometry: sci}\n"
 
@@ -198,3 +200,17 @@ def test_an_interrupt_exits_with_130(tmp_path: Path, monkeypatch: pytest.MonkeyP
     monkeypatch.setattr("brdfpipe.jobs.build.build", interrupted)
     done = run("build", tmp_path)
     assert (done.exit_code, done.stderr) == (130, "brdfpipe: interrupted; the same command resumes\n")
+
+
+def test_diff_prints_lines_or_json(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    found = [Difference("black", "", "added")]
+    monkeypatch.setattr("brdfpipe.releases.differences.differences", lambda old, new: found)
+    assert run("diff", tmp_path, tmp_path).output.splitlines()[1] == "  black: added"
+    (entry,) = json.loads(run("diff", "--json", tmp_path, tmp_path).output)
+    assert entry["material"] == "black"
+
+
+def test_diff_of_a_folder_without_results_is_one_line_and_exit_2(tmp_path: Path) -> None:
+    done = run("diff", tmp_path, tmp_path)
+    assert done.exit_code == 2
+    assert "no results of a catalogue" in done.output

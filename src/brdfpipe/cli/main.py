@@ -1,4 +1,4 @@
-"""The command line: ``brdfpipe build``, ``check``, ``scenes`` and ``new``; the group ``rig`` is :mod:`brdfpipe.cli.rig`.
+"""The command line: ``brdfpipe build``, ``check``, ``diff``, ``scenes`` and ``new``; the group ``rig`` is :mod:`brdfpipe.cli.rig`.
 
 Exit codes: 0 every material was built (or is ok), 1 at least one was not, 2 the command, the catalogue or the configuration
 cannot be used, 130 interrupted. The verdict of a material's checks does not change the exit code.
@@ -95,6 +95,28 @@ def check(catalogue: Path, config: Path | None, scene: str | None) -> int:
         click.echo(f"{name}: ignored: {reason}")
     click.echo(f"{len(summaries)} ok, {len(problems)} wrong")
     return 1 if problems else 0
+
+
+@main.command()
+@click.argument("old", type=FOLDER)
+@click.argument("new", type=FOLDER)
+@click.option("--json", "as_json", is_flag=True, help="Print all figures as JSON instead of lines.")
+@exit_on_error
+def diff(old: Path, new: Path, as_json: bool) -> int:
+    """Report what changed from the results OLD to the results NEW, and why.
+
+    For each material: the difference of its colour (ΔE00), gloss, BRDF and verdict, and the raw files, keys, versions
+    of libraries or code that caused it.
+    """
+    import json
+
+    from brdfpipe.releases import words
+    from brdfpipe.releases.differences import differences
+
+    found = differences(old, new)
+    text = json.dumps(words.plain(found), indent=1, ensure_ascii=False) if as_json else "\n".join(words.lines(found))
+    click.echo(text)
+    return 0
 
 
 @main.command()

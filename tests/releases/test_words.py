@@ -1,0 +1,41 @@
+"""Differences in words."""
+
+from __future__ import annotations
+
+import json
+
+from brdfpipe.releases.causes import Cause
+from brdfpipe.releases.differences import Difference
+from brdfpipe.releases.words import lines, plain
+
+CHANGED = Difference(
+    "black",
+    "",
+    "changed",
+    colour=1.234,
+    brdf={"rms": 0.0213, "percentile_95": 0.05, "albedo": 0.001},
+    quantities={"gloss_60": (21.43, 23.1), "haze": (None, 0.5), "L": (50.0, 51.0)},
+    verdict=("pass", "warn"),
+    causes=(Cause("key", "surface", 'form: "plane" → "none"'),),
+)
+
+
+def test_a_material_has_one_line_and_its_causes_below() -> None:
+    text = lines([CHANGED, Difference("grey", "", "unchanged"), Difference("new", "", "added")])
+    assert text == [
+        "catalogue: 1 changed, 1 added, 0 removed, 1 unchanged",
+        "  black: ΔE00 1.23; gloss_60 21.43 → 23.1; BRDF 2.13% rms, 5.00% at the 95th percentile; verdict pass → warn; 1 further quantity differs",
+        '    key (surface): form: "plane" → "none"',
+        "  new: added",
+    ]
+
+
+def test_a_material_that_fails_now_says_why() -> None:
+    broken = Difference("black", "gloss-sheet", "changed", built=(True, False), failure="surface: no unit")
+    assert lines([broken])[1] == "  black: not built any more: surface: no unit"
+
+
+def test_plain_values_are_json_without_unchanged_materials() -> None:
+    (entry,) = json.loads(json.dumps(plain([CHANGED, Difference("grey", "", "unchanged")])))
+    assert entry["quantities"]["gloss_60"] == [21.43, 23.1]
+    assert entry["causes"][0]["kind"] == "key"
