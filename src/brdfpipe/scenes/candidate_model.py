@@ -70,6 +70,7 @@ def build(candidate: Candidate, inputs: ModelInputs) -> xr.Dataset:
             visibility = visibility_choice.choose(inputs.surface, inputs.facets)
         if candidate.multiple_scattering == "auto":
             reflections = interreflection.choose(inputs.surface, inputs.facets, index=index, spectrum=spectrum)
+    waves = inputs.psd if candidate.optics == "auto" and candidate.distribution != "lambert-gauss" else None
     bsdf = build_microfacet(
         facets,
         index=index,
@@ -79,13 +80,14 @@ def build(candidate: Candidate, inputs: ModelInputs) -> xr.Dataset:
         masking=candidate.masking,
         diffuse=base,
         multiple_scattering=candidate.multiple_scattering,
+        surface_alone=waves is not None,
     )
     if candidate.distribution == "lambert-gauss":
         return fit_lambert_gauss(bsdf, FITTED_INCIDENCES)
-    if candidate.optics == "facets" or inputs.psd is None:
+    if waves is None:
         return bsdf
     return build_wave(
-        inputs.psd,
+        waves,
         index=index,
         spectrum=spectrum,
         diffuse=base,

@@ -12,6 +12,7 @@ from brdfpipe import vocabulary
 from brdfpipe.bsdf.microfacet.builder import build, interreflection_of
 from brdfpipe.bsdf.microfacet.interreflection import choose
 from brdfpipe.bsdf.microfacet.microsurface import ModelError
+from brdfpipe.bsdf.microfacet.model import with_reflections
 from brdfpipe.bsdf.microfacet.second_reflection import SecondReflection
 from brdfpipe.bsdf.registry import representation
 from brdfpipe.comparison.lobe_bins import LobeBins
@@ -128,6 +129,18 @@ def test_a_mean_over_wavelength_has_the_mean_light(rough):
     assert reduced is not None
     expected = bsdf["second_reflection"].values @ [0.25, 0.75]
     np.testing.assert_allclose(reduced["second_reflection"].values, expected, rtol=1e-9)
+
+
+@pytest.mark.parametrize("mode", ["none", "directional", "measured", "compensated"])
+def test_light_of_several_reflections_is_the_same_without_the_table_of_the_albedo(rough, mode):
+    _, facets, traced = rough
+    given = {"index": 1.5, "interreflection": traced, "multiple_scattering": mode}
+    complete, alone = build(facets, **given), with_reflections(build(facets, **given, surface_alone=True), 8.0)
+    assert ("directional_albedo" in alone) == (mode == "compensated")
+    for name in ("second_reflection", "compensation"):
+        assert (name in alone) == (name in complete)
+        if name in alone:
+            np.testing.assert_array_equal(alone[name].values, complete[name].values)
 
 
 def test_another_index_scales_the_light_by_the_squared_reflectance(rough):

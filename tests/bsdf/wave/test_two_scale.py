@@ -180,6 +180,19 @@ def test_two_scales_agree_with_diffraction_on_their_maps():
     assert (noise < [0.08, 0.03]).all()
 
 
+def test_the_surface_alone_is_enough_for_the_facets():
+    surface = {"facets": analytic("beckmann", a=0.1), "index": 1.5, "spectrum": samples.spectrum(0.4)}
+    complete, alone = microfacet.build(**surface), microfacet.build(**surface, surface_alone=True)
+    assert "directional_albedo" not in alone
+    representations = []
+    for sigma, length in ((0.2, 5.0), (0.5, 4.0), (30.0, 600.0)):
+        spectrum = psd.analytic("gaussian", sigma=sigma, length=length)
+        built = [wave.build(spectrum, **surface, predicted=one, optics="auto") for one in (complete, alone)]
+        xr.testing.assert_identical(*built)
+        representations.append(built[0].attrs["representation"])
+    assert representations == ["wave", "wave", "microfacet"]
+
+
 def test_many_values_are_those_of_few(monkeypatch):
     bsdf = composite()
     angles = np.array([20.0, 60.0, 85.0]), np.zeros(3), np.array([20.5, 95.0, 80.0]), np.array([180.0, 180.0, 175.0])

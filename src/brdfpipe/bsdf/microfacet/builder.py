@@ -68,6 +68,7 @@ def build(
     recipe: str | None = None,
     isotropic: bool = False,
     transparent: bool = False,
+    surface_alone: bool = False,
 ) -> xr.Dataset:
     """Microfacet BSDF of a surface.
 
@@ -86,6 +87,8 @@ def build(
     recipe : ``crf`` sets the patent's modes together; other given modes must agree
     isotropic : average a surface with a lay over azimuth, with a warning
     transparent : the interface of a clear body, with light on the other side too (θ > 90 degree)
+    surface_alone : leave out the table of the albedo, most of the work, and the light from below the surface. The dataset is not complete:
+        :func:`with_base` adds both, :func:`brdfpipe.bsdf.microfacet.model.with_reflections` the light that is reflected more than once
 
     Returns
     -------
@@ -150,13 +153,16 @@ def build(
     bsdf = vocabulary.add_warning(bsdf.assign(n=(spectral, n), k=(spectral, k)), *warnings)
     if chosen["multiple_scattering"] == "measured" and "slope_density" in bsdf:
         bsdf = with_interreflection(bsdf, interreflection)
-    theta_m = 8.0 if spectrum is None else float(spectrum.attrs["theta_i"])
-    bsdf = with_albedo(bsdf, theta_m)
-    bsdf = _with_diffuse(bsdf, spectrum, theta_m)
-    bsdf = _with_source_warning(bsdf)
     if surface is not facets:
         bsdf = vocabulary.add_warning(bsdf, *vocabulary.warnings(surface))
-    return vocabulary.label(bsdf, "bsdf")
+    return bsdf if surface_alone else with_base(bsdf, spectrum)
+
+
+def with_base(surface: xr.Dataset, spectrum: xr.Dataset | None) -> xr.Dataset:
+    """The ``bsdf`` dataset of a surface alone (:func:`build`): with the table of its albedo, and the base that closes the spectrum."""
+    theta_m = 8.0 if spectrum is None else float(spectrum.attrs["theta_i"])
+    bsdf = _with_diffuse(with_albedo(surface, theta_m), spectrum, theta_m)
+    return vocabulary.label(_with_source_warning(bsdf), "bsdf")
 
 
 # --- modes

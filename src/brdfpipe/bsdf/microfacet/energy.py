@@ -316,14 +316,7 @@ def _tabulated_lay(density: PlanarDensity, albedo: Callable[[Array, Array], Arra
     """The same for a surface with a lay: uniform in scaled angles, with the error found between all nodes."""
     ellipse = density.ellipse
     scale = lay_scale(ellipse)
-    end = np.arcsinh(90 / scale)
-    uniform = np.linspace(0, end, int(np.ceil(end / _LAY_STEP)) + 1)
-    exact_grazing = np.arcsinh((90 - exact) / scale)
-    # Nodes that are too close together would make the spline ring.
-    separate = (np.abs(uniform[:, None] - exact_grazing) > _LAY_STEP / 3).all(axis=1)
-    grazing = np.unique(np.concatenate([uniform[separate], exact_grazing]))
-    arcs = np.arange(0.0, 360.0, 90 / np.ceil(quadrature.quarter_arc(ellipse) / _LAY_AZIMUTH))
-
+    grazing, _, arcs = _scaled_nodes(ellipse, exact)
     symmetric = quadrature.is_symmetric(density)
 
     def on_grid(grazing: Array, arcs: Array) -> tuple[Array, Array, Array]:
@@ -335,10 +328,10 @@ def _tabulated_lay(density: PlanarDensity, albedo: Callable[[Array, Array], Arra
         values = albedo(polar.ravel(), around.ravel()).reshape(*polar.shape, -1)
         return theta, quadrature.arc_to_azimuth(ellipse, arcs), values[:, where]
 
-    theta, phi, values = on_grid(grazing, arcs)
-    theta[np.searchsorted(grazing, exact_grazing)] = exact
-    order = np.argsort(np.round(phi % 360, 9))
-    table = AlbedoTable(theta[::-1], values[::-1][:, order], np.round(phi % 360, 9)[order], ellipse)
+    theta, phi = lay_nodes(density, exact)
+    _, around, values = on_grid(grazing, arcs)
+    order = np.argsort(np.round(around % 360, 9))
+    table = AlbedoTable(theta, values[::-1][:, order], phi, ellipse)
     # Without symmetry at every second azimuth alone, to save time.
     probes = arcs[:: 1 if symmetric else 2] + arcs[1] / 2
     between, around, expected = on_grid((grazing[1:] + grazing[:-1]) / 2, probes)
@@ -347,6 +340,27 @@ def _tabulated_lay(density: PlanarDensity, albedo: Callable[[Array, Array], Arra
     # A clip at 1 would make a kink, and the spline ring: the loss decreases smoothly instead.
     lost = np.maximum(1 - table.values, 0.0)
     return replace(table, values=1 - lost**2 / (lost + _lift(table.theta, error)[:, None, None]))
+
+
+def lay_nodes(density: PlanarDensity, exact: Array) -> tuple[Array, Array]:
+    """Nodes θ and φ [degree] of the table of a surface with a lay, with ``exact`` among the first."""
+    scale = lay_scale(density.ellipse)
+    grazing, exact_grazing, arcs = _scaled_nodes(density.ellipse, exact)
+    theta = np.clip(90 - scale * np.sinh(grazing), 0.0, 90.0)
+    theta[np.searchsorted(grazing, exact_grazing)] = exact
+    return theta[::-1], np.sort(np.round(quadrature.arc_to_azimuth(density.ellipse, arcs) % 360, 9))
+
+
+def _scaled_nodes(ellipse: Ellipse, exact: Array) -> tuple[Array, Array, Array]:
+    """The same from grazing and in scaled angles, with those of ``exact`` apart, and the arcs [degree]."""
+    scale = lay_scale(ellipse)
+    end = np.arcsinh(90 / scale)
+    uniform = np.linspace(0, end, int(np.ceil(end / _LAY_STEP)) + 1)
+    exact_grazing = np.arcsinh((90 - exact) / scale)
+    # Nodes that are too close together would make the spline ring.
+    separate = (np.abs(uniform[:, None] - exact_grazing) > _LAY_STEP / 3).all(axis=1)
+    grazing = np.unique(np.concatenate([uniform[separate], exact_grazing]))
+    return grazing, exact_grazing, np.arange(0.0, 360.0, 90 / np.ceil(quadrature.quarter_arc(ellipse) / _LAY_AZIMUTH))
 
 
 def _lift(theta: Array, error: Array) -> Array:

@@ -34,6 +34,9 @@ CRF_DIFFUSE_SHARE = 4 * (np.log(2) - 0.5)
 _LAY_AZIMUTHS = 24
 """Azimuths at which the light reflected more than once by a surface with a lay is sampled."""
 
+_FAR_BELOW = 0.5
+"""Traced light over the light that the single reflection leaves, below which no limit applies between the angles that are compared."""
+
 _BLOCK = 2**14
 """Directions that are evaluated together, so that their arrays stay in the processor's cache."""
 
@@ -342,17 +345,10 @@ def with_albedo(bsdf: xr.Dataset, theta_m: float) -> xr.Dataset:
         compensation = (spectral, factor if spectral else factor[0])
         bsdf = bsdf.assign(furnace_albedo=(dims, furnace.values[..., 0]), compensation=compensation)
     if multiple == "directional":
-
-        def missing(theta: Array, phi: Array) -> Array:
-            if furnace is None:
-                return 1 - energy.mirror_albedo(surface, masking, theta)
-            return 1 - furnace(theta, phi)[:, 0]
-
-        second = second_reflection(without_lay(surface), n, k, missing, 1 if furnace is None else _LAY_AZIMUTHS)
+        second = _directional(surface, masking, n, k, furnace)
         albedo, bsdf = _with_further_light(albedo, second), with_second_reflection(bsdf, second)
     if multiple == "measured":
-        values = bsdf["second_reflection"].values
-        second = SecondReflection.of(bsdf, values if spectral else values[..., None])
+        second = _measured(bsdf)
         second = second.within(albedo.theta, 1 - albedo.values.reshape(albedo.theta.size, -1, n.size).max(axis=1))
         albedo, bsdf = _with_further_light(albedo, second), with_second_reflection(bsdf, second)
     values, mean = albedo.values, albedo.mean()
@@ -361,6 +357,47 @@ def with_albedo(bsdf: xr.Dataset, theta_m: float) -> xr.Dataset:
         mean_albedo=(spectral, mean if spectral else mean[0]),
         mean_furnace_albedo=mean_furnace,
     )
+
+
+def with_reflections(bsdf: xr.Dataset, theta_m: float) -> xr.Dataset:
+    """Add the light that facets reflect more than once, as :func:`with_albedo` does, but no table of the albedo where that can be left out.
+
+    Traced light is limited to what the single reflection leaves. It is far below that, so that a few angles of incidence show that no
+    limit applies; else the table is made.
+    """
+    multiple, lay = bsdf.attrs["multiple_scattering"], bsdf["slope_density"].ndim == 2
+    if multiple == "none":
+        return bsdf
+    n, k = np.atleast_1d(bsdf["n"].values), np.atleast_1d(bsdf["k"].values)
+    surface, masking = Microsurface.of(bsdf), str(bsdf.attrs["masking"])
+    if multiple == "directional" and not lay:
+        return with_second_reflection(bsdf, _directional(surface, masking, n, k, None))
+    if multiple == "measured" and not lay:
+        second = _measured(bsdf)
+        theta = second.theta[second.theta < 90]
+        left = 1 - directional_albedo(surface, masking, n, k, theta)
+        if (second.albedo(theta) < _FAR_BELOW * left).all():
+            return with_second_reflection(bsdf, second)
+    return with_albedo(bsdf, theta_m)
+
+
+def _directional(
+    surface: Microsurface, masking: str, n: Array, k: Array, furnace: AlbedoTable | None
+) -> SecondReflection:
+    """The light that Smith's surface reflects more than once; ``furnace`` is the albedo of perfect mirrors with a lay."""
+
+    def missing(theta: Array, phi: Array) -> Array:
+        if furnace is None:
+            return 1 - energy.mirror_albedo(surface, masking, theta)
+        return 1 - furnace(theta, phi)[:, 0]
+
+    return second_reflection(without_lay(surface), n, k, missing, 1 if furnace is None else _LAY_AZIMUTHS)
+
+
+def _measured(bsdf: xr.Dataset) -> SecondReflection:
+    """The light that a height map reflects more than once, as it was traced."""
+    values = bsdf["second_reflection"].values
+    return SecondReflection.of(bsdf, values if bsdf["n"].dims else values[..., None])
 
 
 def _with_further_light(single: AlbedoTable, second: SecondReflection) -> AlbedoTable:

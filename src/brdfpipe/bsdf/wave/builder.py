@@ -27,11 +27,13 @@ from brdfpipe.bsdf.microfacet.builder import (
     index_on,
     interreflection_of,
     wavelengths_of,
+    with_base,
     with_clamping_warning,
     with_diffuse_reflectance,
 )
 from brdfpipe.bsdf.microfacet.gloss_trap import trap_of
 from brdfpipe.bsdf.microfacet.microsurface import Microsurface, ModelError
+from brdfpipe.bsdf.microfacet.model import with_reflections
 from brdfpipe.bsdf.microfacet.phase_variance import known_rms_height
 from brdfpipe.bsdf.representations.microfacet import Microfacet
 from brdfpipe.bsdf.representations.wave import Wave
@@ -102,10 +104,16 @@ _ARCS_A_HALF, _ARCS_A_TURN = 9, 21
 """Numbers of arcs, in the sense of :func:`azimuth_to_arc`, at which that of a surface with a lay is; odd, for interpolation."""
 _LAY_STEP = 15.0
 """Step of its table, of a surface without facets [degree]."""
+_SMOOTH_SLOPE = 0.01
+"""Angle [rad] near grazing on which the reflectance of a smooth surface varies."""
+_GRAZING = np.linspace(89.0, 90.0, 51)
+"""Angles near grazing [degree] of the table of a surface with facets, whose albedo may have a corner where a limit of the coherent light begins."""
 _ROUGH_STEP = 0.5
 """Step of ln g where a table need not be exact."""
 _BASE = ("diffuse", "diffuse_quality", "total_reflectance", "theta_m")
 """Variables of the base below the facets, which is closed anew."""
+_OF_TABLE = ("directional_albedo", "mean_albedo")
+"""Variables of the table of the facets' albedo, in whose place is that of the whole surface."""
 
 
 def build(
@@ -133,7 +141,8 @@ def build(
     form : one of :data:`brdfpipe.masking.modes.HALOS`
     diffuse : ``coupled``, or ``none``
     facets : kind ``facets``, of the same surface; needed unless ``optics`` is ``wave``. Whether the halo follows a lay is theirs to say
-    predicted : kind ``bsdf``, built of the same facets, index and spectrum, with the modes of the facets; by default with the default modes
+    predicted : kind ``bsdf``, built of the same facets, index and spectrum, with the modes of the facets; by default with the default modes.
+        The surface alone (:func:`brdfpipe.bsdf.microfacet.builder.build`) is enough
     visibility : kind ``visibility``, if the masking of ``predicted`` is ``measured``
     optics : ``wave``; ``composite``, where roughness below a cut scatters upon facets; or ``auto``, which passes from ``wave`` to
         facets with the phase variance and the slope, with finer roughness upon them where it is measured and matters
@@ -172,7 +181,10 @@ def build(
     relief = None if optics == "wave" or facets is None else Relief.of(correlation, sigma, psd, optics, cut, facets)
     if relief is not None and optics == "auto" and (4e3 * np.pi * sigma / given[0]) ** 2 < WAVES_ALONE:
         relief = None
-    bsdf = xr.Dataset(coords={"wavelength": given})
+    bsdf, theta_m = (
+        xr.Dataset(coords={"wavelength": given}),
+        8.0 if spectrum is None else float(spectrum.attrs["theta_i"]),
+    )
     if relief is not None:
         assert facets is not None
         inputs: dict[str, Any] = {"index": index, "spectrum": spectrum, "visibility": visibility}
@@ -180,10 +192,13 @@ def build(
             facets = scaled(facets, relief.slope_factor)
             predicted = _of_relief(facets, inputs, predicted)
         elif predicted is None:
-            predicted = build_microfacet(facets, **inputs, diffuse=diffuse)
+            predicted = build_microfacet(facets, **inputs, diffuse=diffuse, surface_alone=True)
+        complete = "directional_albedo" in predicted
         if optics == "auto" and relief.is_one_of_facets(given):
+            predicted = predicted if complete else with_base(predicted, spectrum)
             return vocabulary.label(_facets_alone(predicted, relief, given), "bsdf")
-        bsdf = _with_facets(bsdf, predicted).assign(
+        predicted = predicted if complete else with_reflections(predicted, theta_m)
+        bsdf = _with_facets(bsdf, predicted, _angles_of_table(predicted, n, k, theta_m)).assign(
             facet_sigma=relief.sigma, resolved_slope=relief.slope, passage_phase=relief.passage
         )
         if relief.uses_fine:
@@ -201,7 +216,6 @@ def build(
     bsdf.attrs |= {"representation": Wave.name, **attributes}
     if optics != "composite":
         bsdf = bsdf.merge(halo_table(correlation, sigma, psd, given, _has_lay(psd, facets)))
-    theta_m = 8.0 if spectrum is None else float(spectrum.attrs["theta_i"])
     bsdf = _with_albedo(bsdf, theta_m, psd)
     bsdf = _with_diffuse(bsdf, spectrum, theta_m)
     bsdf = vocabulary.add_warning(bsdf, *warnings, *_limits(bsdf, psd, correlation))
@@ -328,23 +342,40 @@ def _facets_alone(predicted: xr.Dataset, relief: Relief, wavelength: Array) -> x
 
 
 def _of_relief(facets: xr.Dataset, inputs: Mapping[str, Any], predicted: xr.Dataset | None) -> xr.Dataset:
-    """The BSDF of other facets with the modes of ``predicted``; with the default ones without it."""
+    """Other facets with the modes of ``predicted``, the surface alone; with the default ones without it."""
     if predicted is None:
-        return build_microfacet(facets, **inputs)
+        return build_microfacet(facets, **inputs, surface_alone=True)
     modes = {name: predicted.attrs[name] for name in ("masking", "multiple_scattering")}
     isotropic, traced = predicted["slope_density"].ndim == 1, interreflection_of(predicted)
-    bsdf = build_microfacet(facets, **inputs, **modes, isotropic=isotropic, interreflection=traced)
+    bsdf = build_microfacet(facets, **inputs, **modes, isotropic=isotropic, interreflection=traced, surface_alone=True)
     advised = {name: mode for name, mode in predicted.attrs.items() if name == MULTIPLE_SCATTERING_ADVISED}
     return bsdf.assign_attrs(advised)
 
 
-def _with_facets(bsdf: xr.Dataset, predicted: xr.Dataset) -> xr.Dataset:
-    """Add the facets' BSDF but for its base, with its angles of the table of the albedo."""
+def _angles_of_table(predicted: xr.Dataset, n: Array, k: Array, theta_m: float) -> dict[str, Array]:
+    """Angles of the table of the albedo of a surface with facets [degree]: those of the facets' furnace, where they have one."""
+    if "furnace_albedo" in predicted:
+        return {name: predicted[name].values for name in ("theta_i", "phi_i") if name in predicted.coords}
+    density, exact = Microsurface.of(predicted).density, np.array([0.0, theta_m, 90.0])
+    if isinstance(density, RadialDensity):
+        theta = energy.refined(lambda theta: _smooth(theta, n, k), _SMOOTH_SLOPE, exact).theta
+        return {"theta_i": np.concatenate([theta[theta < _GRAZING[0]], _GRAZING])}
+    return dict(zip(("theta_i", "phi_i"), energy.lay_nodes(density, exact), strict=True))
+
+
+def _smooth(theta: Array, n: Array, k: Array) -> Array:
+    """Reflectance of a smooth surface of the same index, (incidences, wavelength), of θ [degree]."""
+    cosine = np.where(theta >= 90, 0.0, np.cos(np.radians(theta)))
+    return np.asarray(fresnel(cosine[:, None], n, k).mean)
+
+
+def _with_facets(bsdf: xr.Dataset, predicted: xr.Dataset, around: Mapping[str, Array]) -> xr.Dataset:
+    """Add the facets' BSDF but for its base and the table of its albedo, at the angles of the table of both."""
     names = [name for name in (*Microfacet.kind.required, *Microfacet.kind.optional) if name in predicted]
-    kept = predicted[names].drop_vars([*_BASE, "n", "k"], errors="ignore")
+    of_table = _OF_TABLE if "furnace_albedo" in predicted else (*_OF_TABLE, "mean_furnace_albedo")
+    kept = predicted[names].drop_vars([*_BASE, *of_table, "n", "k"], errors="ignore")
     if "wavelength" in kept.dims:
         kept = kept.interp(wavelength=bsdf["wavelength"].values)
-    around = {name: predicted[name].values for name in ("theta_i", "phi_i") if name in predicted.coords}
     names_of_modes = (
         "masking",
         MASKING_ADVISED,
@@ -427,8 +458,7 @@ def _with_albedo(bsdf: xr.Dataset, theta_m: float, psd: xr.Dataset) -> xr.Datase
     n, k, wavelength = (bsdf[name].values for name in ("n", "k", "wavelength"))
 
     def smooth(theta: Array) -> Array:
-        cosine = np.where(theta >= 90, 0.0, np.cos(np.radians(theta)))
-        return np.asarray(fresnel(cosine[:, None], n, k).mean)
+        return _smooth(theta, n, k)
 
     surface, azimuths = RoughSurface.of(bsdf), _azimuths(bsdf)
     theta = closure_nodes(_INCIDENCES if azimuths.size == 1 else _LAY_INCIDENCES)
@@ -445,7 +475,7 @@ def _with_albedo(bsdf: xr.Dataset, theta_m: float, psd: xr.Dataset) -> xr.Datase
     if surface.relief is not None:
         table = energy.AlbedoTable(bsdf["theta_i"].values, smooth(bsdf["theta_i"].values))
     elif azimuths.size == 1:
-        table = energy.refined(smooth, 0.01, np.array([0.0, theta_m, 90.0]))
+        table = energy.refined(smooth, _SMOOTH_SLOPE, np.array([0.0, theta_m, 90.0]))
     else:
         nodes = np.unique(np.append(np.degrees(np.arccos(np.cos(np.linspace(0, np.pi / 2, 48)) ** 2)), theta_m))
         table = energy.AlbedoTable(nodes, smooth(nodes))

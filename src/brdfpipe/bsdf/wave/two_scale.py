@@ -127,6 +127,11 @@ def facet_bsdf(bsdf: xr.Dataset) -> xr.Dataset:
     facets = bsdf[names].drop_vars("diffuse", errors="ignore")
     if "mixture" in bsdf:
         facets = facets.rename(mixed="wavelength").assign_coords(wavelength=bsdf["mixed_wavelength"].values)
+    if "directional_albedo" not in facets:
+        # Facets without a base need none of its values.
+        around = {name: bsdf[name].values for name in ("theta_i", "phi_i") if name in bsdf.coords}
+        nothing = tuple(around), np.zeros([values.size for values in around.values()])
+        facets = facets.assign_coords(around).assign(directional_albedo=nothing, mean_albedo=0.0)
     attributes = {name: bsdf.attrs[name] for name in ("masking", "multiple_scattering", "transmission")}
     facets.attrs = {"representation": Microfacet.name, "diffuse_mode": "none", **attributes}
     return facets
