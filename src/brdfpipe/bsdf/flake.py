@@ -21,6 +21,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
+from scipy.special import chdtri, ndtri
 
 from brdfpipe import vocabulary
 from brdfpipe.bsdf.representations.flake import PHYSICAL, ClearCoat, Flake
@@ -242,14 +243,13 @@ def _with_errors(bsdf: xr.Dataset, multiangle: xr.Dataset, fitted: Fit, values: 
 
 def _with_chi_squared(bsdf: xr.Dataset, misfit: Array, form: Form, across: str) -> xr.Dataset:
     """Add the reduced χ² of each channel, and warnings of misfits that are improbable by chance; misfits over uncertainties."""
-    from scipy.stats import chi2, norm
-
+    # The functions behind those of scipy.stats, whose import takes longer than the fit.
     freedom = len(misfit) - form.parameters
     if freedom > 0:
         reduced = (misfit**2).sum(axis=0) / freedom
         text = "sum of squared misfits over their uncertainties, over the degrees of freedom"
         bsdf["reduced_chi_squared"] = ((across,), reduced, {"units": "1", "long_name": text})
-        if reduced.max() > chi2.isf(_CHI_SQUARED_PROBABILITY / reduced.size, freedom) / freedom:
+        if reduced.max() > chdtri(freedom, _CHI_SQUARED_PROBABILITY / reduced.size) / freedom:
             bsdf = vocabulary.add_warning(
                 bsdf,
                 f"the fit misses the colours by more than their uncertainties (reduced χ² up to {reduced.max():.3g}), so the uncertainties "
@@ -257,7 +257,7 @@ def _with_chi_squared(bsdf: xr.Dataset, misfit: Array, form: Form, across: str) 
             )
     misfit = np.abs(misfit)
     # Of hundreds of wavelengths some exceed 3 u by chance.
-    outlier = misfit > max(_OUTLIER, float(norm.isf(_OUTLIER_PROBABILITY / (2 * misfit.size))))
+    outlier = misfit > max(_OUTLIER, -float(ndtri(_OUTLIER_PROBABILITY / (2 * misfit.size))))
     if not outlier.any():
         return bsdf
     geometry, channel = np.unravel_index(int(misfit.argmax()), misfit.shape)

@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 from scipy.optimize import minimize
+from scipy.spatial.distance import cdist
 
 from brdfpipe.geometry import Array
 
@@ -95,14 +96,9 @@ def expected_parameters(features: int) -> tuple[float, ...]:
     return (_EXPECTED["amplitude"], _EXPECTED["noise"], *[_EXPECTED["length"]] * features)
 
 
-def _scaled_distance(one: Array, other: Array, parameters: Sequence[float]) -> tuple[Array, Array]:
-    """√5 times the distance in lengths, (one, other); and its share by feature, squared, (one, other, features)."""
-    squared = 5 * ((one[:, None] - other[None]) / np.exp(np.asarray(parameters[2:]))) ** 2
-    return np.sqrt(squared.sum(axis=-1)), squared
-
-
 def _covariance(one: Array, other: Array, parameters: Sequence[float]) -> Array:
-    away, _ = _scaled_distance(one, other, parameters)
+    lengths = np.exp(np.asarray(parameters[2:]))
+    away = math.sqrt(5) * cdist(one / lengths, other / lengths)
     return np.asarray(math.exp(2 * parameters[0]) * (1 + away + away**2 / 3) * np.exp(-away))
 
 
@@ -113,7 +109,9 @@ def _with_noise(covariance: Array, parameters: Sequence[float]) -> Array:
 def _cost(parameters: Array, features: Array, logarithms: Array) -> tuple[float, Array]:
     """Negative logarithm of the posterior probability of the parameters, and its gradient."""
     given = parameters.tolist()
-    away, squared = _scaled_distance(features, features, given)
+    # √5 times the distance in lengths, and its share by feature, squared.
+    squared = 5 * ((features[:, None] - features[None]) / np.exp(np.asarray(given[2:]))) ** 2
+    away = np.sqrt(squared.sum(axis=-1))
     amplitude, noise = math.exp(2 * given[0]), math.exp(2 * given[1])
     decay = np.exp(-away)
     covariance = amplitude * (1 + away + away**2 / 3) * decay

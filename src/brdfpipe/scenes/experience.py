@@ -8,12 +8,14 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cache, cached_property, lru_cache
 from pathlib import Path
 
 import numpy as np
 
 from brdfpipe import store
 from brdfpipe.errors import BrdfpipeError
+from brdfpipe.geometry import Array
 from brdfpipe.scenes.error_regression import LEAST, Regression, expected_parameters
 from brdfpipe.scenes.features import in_spreads
 from brdfpipe.scenes.ladders import FULLEST, LADDERS, Candidate
@@ -38,6 +40,11 @@ class Known:
     trials: Mapping[Candidate, Trial]
     model_error: float | None = None
     """Error that the fullest candidate has at least, against rays or diffraction on the height map, in the unit of the metric; None where unknown"""
+
+    @cached_property
+    def in_spreads(self) -> Array:
+        """Its features, (features,), in units of their spread."""
+        return in_spreads(self.features)
 
 
 NEGLIGIBLE = 0.01
@@ -69,20 +76,23 @@ class Experience:
     def error(self, candidate: Candidate) -> Regression | None:
         """Regression of the error of a candidate; None where it was tried on too few materials."""
         return self._regression(
-            f"error {candidate.key}", self.tried(candidate), lambda known: known.trials[candidate].error
+            f"error {candidate.key}", lambda: self.tried(candidate), lambda known: known.trials[candidate].error
         )
 
     def cost(self, candidate: Candidate) -> Regression | None:
         """Regression of the cost of a candidate; None where it was tried on too few materials."""
         return self._regression(
-            f"cost {candidate.key}", self.tried(candidate), lambda known: known.trials[candidate].cost
+            f"cost {candidate.key}", lambda: self.tried(candidate), lambda known: known.trials[candidate].cost
         )
 
     @property
     def model_error(self) -> Regression | None:
         """Regression of the error that the fullest model itself has at least; None where it is known of too few materials."""
-        judged = [known for known in self.materials if known.model_error is not None]
-        return self._regression(MODEL_ERROR, judged, lambda known: known.model_error or 0.0)
+        return self._regression(
+            MODEL_ERROR,
+            lambda: [known for known in self.materials if known.model_error is not None],
+            lambda known: known.model_error or 0.0,
+        )
 
     def tried(self, candidate: Candidate) -> list[Known]:
         """The materials on which a candidate was tried."""
@@ -102,13 +112,27 @@ class Experience:
                 found[key] = tuple(round(value, 3) for value in fitted.parameters)
         return replace(self, parameters=found)
 
-    def _regression(self, key: str, materials: Sequence[Known], value: Callable[[Known], float]) -> Regression | None:
+    def _regression(
+        self, key: str, materials: Callable[[], Sequence[Known]], value: Callable[[Known], float]
+    ) -> Regression | None:
+        if key not in self._regressions:
+            self._regressions[key] = self._regression_of(key, materials(), value)
+        return self._regressions[key]
+
+    def _regression_of(
+        self, key: str, materials: Sequence[Known], value: Callable[[Known], float]
+    ) -> Regression | None:
         if len(materials) < LEAST:
             return None
-        features = np.stack([in_spreads(known.features) for known in materials])
+        features = np.stack([known.in_spreads for known in materials])
         least = 0.0 if key.startswith("cost") else self.least_error
         logarithms = np.log([max(value(known), least) for known in materials])
         return Regression(features, logarithms, self.parameters.get(key, expected_parameters(features.shape[1])))
+
+    @cached_property
+    def _regressions(self) -> dict[str, Regression | None]:
+        """Those that were asked for: each solves its equations once, for all materials that are planned."""
+        return {}
 
     def write(self, path: Path) -> None:
         """Write the file, whole or not at all."""
@@ -136,32 +160,38 @@ NONE = Experience("", "")
 
 
 def read(path: Path) -> Experience:
-    """The experience of a file.
+    """The experience of a file; the same object for the same content.
 
     Raises
     ------
     BrdfpipeError : a file that ``make tradeoff`` did not write.
     """
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-        materials = tuple(
-            Known(
-                row["name"],
-                row["features"],
-                {candidate_of(key): Trial(*pair) for key, pair in row["trials"].items()},
-                row["model_error"],
-            )
-            for row in content["materials"]
-        )
-        parameters = {key: tuple(map(float, values)) for key, values in content["parameters"].items()}
-        least, deviations = (float(content[name]) for name in ("least_error", "deviations"))
-        return Experience(content["metric"], content["scene"], materials, least, deviations, parameters)
+        return _parsed(path.read_text(encoding="utf-8"))
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise BrdfpipeError(
             f"{path}: is not a file of measured errors ({error}); write it anew with `make tradeoff`"
         ) from error
 
 
+@lru_cache(8)
+def _parsed(text: str) -> Experience:
+    content = json.loads(text)
+    materials = tuple(
+        Known(
+            row["name"],
+            row["features"],
+            {candidate_of(key): Trial(*pair) for key, pair in row["trials"].items()},
+            row["model_error"],
+        )
+        for row in content["materials"]
+    )
+    parameters = {key: tuple(map(float, values)) for key, values in content["parameters"].items()}
+    least, deviations = (float(content[name]) for name in ("least_error", "deviations"))
+    return Experience(content["metric"], content["scene"], materials, least, deviations, parameters)
+
+
+@cache
 def candidate_of(key: str) -> Candidate:
     """The candidate of a key. Raises ValueError: an unknown rung."""
     rungs: Sequence[str] = key.split("/")
