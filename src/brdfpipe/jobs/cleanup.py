@@ -69,7 +69,7 @@ def mark_stale(results: Path, catalogue: Catalogue, failed: Mapping[str, Mapping
     reasons = {**catalogue.failures, **{name: entry["message"] for name, entry in failed.items()}}
     built = {scene.folder for scene in catalogue.scenes}
     removed = []
-    for place, folder in _folders_of_materials(results):
+    for place, folder in folders_of_materials(results):
         name, mark = folder.name, folder / STALE
         known = name in catalogue.by_name or name in reasons
         if not (folder / "report.html").exists() and not any(folder.glob("exports/*")):
@@ -96,7 +96,7 @@ def mark_stale(results: Path, catalogue: Catalogue, failed: Mapping[str, Mapping
     return sorted(set(removed))
 
 
-def _folders_of_materials(results: Path) -> Iterator[tuple[str, Path]]:
+def folders_of_materials(results: Path) -> Iterator[tuple[str, Path]]:
     """The folder of each material for each scene, with that of the scene in the results."""
     places = ["", *(f"{FOLDER}/{path.name}/" for path in sorted((results / FOLDER).glob("*")) if path.is_dir())]
     for place in places:

@@ -1,0 +1,80 @@
+"""Delete results of materials and calibrations that are no longer in the catalogue."""
+
+from __future__ import annotations
+
+import re
+import shutil
+from dataclasses import dataclass
+from pathlib import Path
+
+from brdfpipe.catalogue.catalogue import Catalogue
+from brdfpipe.catalogue.names import CALIBRATIONS
+from brdfpipe.descriptions.keys import NAME
+from brdfpipe.errors import BrdfpipeError
+from brdfpipe.jobs.cleanup import folders_of_materials
+from brdfpipe.scenes.scene import FOLDER
+
+
+@dataclass(frozen=True)
+class Pruned:
+    """Results without a material."""
+
+    paths: tuple[str, ...]
+    """In relation to the folder of results."""
+    size: int
+    """Of all their files [byte]."""
+
+
+def prune(results: Path, catalogue: Catalogue, *, dry_run: bool = False) -> Pruned:
+    """Delete the results of materials and calibrations that left the catalogue, in all scenes, and their logs.
+
+    Results of materials that cannot be built now stay, and so do those of other scenes. Links are not followed and not deleted.
+
+    Parameters
+    ----------
+    results : folder of the results, under the lock of a build
+    catalogue : what was built there
+    dry_run : only list what would be deleted
+
+    Raises
+    ------
+    BrdfpipeError : no material of the catalogue has results there: it is probably another catalogue.
+    OSError : a folder cannot be deleted.
+    """
+    known = catalogue.by_name.keys() | catalogue.failures.keys()
+    present = [path for _, path in folders_of_materials(results) if _is_result(path)]
+    if present and not any(path.name in known for path in present):
+        raise BrdfpipeError(
+            f"{results}: holds results of {present[0].name} and others, and none of a material of {catalogue.folder}; "
+            "give the catalogue that was built there"
+        )
+    paths = [path for path in present if path.name not in known]
+    logs = [
+        path
+        for name in {path.name for path in paths}
+        for path in (results / "logs" / name, *(results / "logs" / FOLDER).glob(f"*/{name}"))
+        if path.is_dir()
+    ]
+    calibrations = [path for path in (results / CALIBRATIONS).glob("*") if _has_left(path, catalogue)]
+    unused = [path for path in (*paths, *logs, *calibrations) if not path.is_symlink()]
+    size = sum(map(_size, unused))
+    if not dry_run:
+        for path in unused:
+            shutil.rmtree(path) if path.is_dir() else path.unlink()
+    return Pruned(tuple(sorted(str(path.relative_to(results)) for path in unused)), size)
+
+
+def _is_result(folder: Path) -> bool:
+    """Whether a folder has a name of a material and holds datasets."""
+    return bool(re.fullmatch(NAME, folder.name)) and any(folder.glob("*.nc"))
+
+
+def _has_left(path: Path, catalogue: Catalogue) -> bool:
+    """Whether a file or folder of results is of a calibration that has no folder in the catalogue."""
+    name = path.name.removesuffix(".nc")
+    return bool(re.fullmatch(NAME, name)) and not (catalogue.folder / CALIBRATIONS / name).is_dir()
+
+
+def _size(path: Path) -> int:
+    files = path.rglob("*") if path.is_dir() else [path]
+    return sum(file.lstat().st_size for file in files if not file.is_dir())
