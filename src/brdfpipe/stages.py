@@ -420,11 +420,13 @@ def _interior(subject: Subject, wildcards: Wildcards) -> dict[str, Any]:
 
 
 def _page_parameters(subject: Subject, wildcards: Wildcards) -> dict[str, Any]:
-    return {"description": subject.owner.content.get("description", ""), "exports": sorted(subject.exports)}
+    return _row_parameters(subject, wildcards) | {"exports": sorted(subject.exports)}
 
 
 def _row_parameters(subject: Subject, wildcards: Wildcards) -> dict[str, Any]:
-    return {"description": subject.owner.content.get("description", "")}
+    content = subject.owner.content
+    accepted = {"accepted": content["accept"]} if "accept" in content else {}
+    return {"description": content.get("description", "")} | accepted
 
 
 # --- jobs
@@ -808,13 +810,13 @@ _STAGES = (
         "report",
         "the page of a material",
         when=_asked("page"),
-        keys=StageKeys(("description", "exports"), (), _page_parameters),
+        keys=StageKeys(("description", "exports", "accept"), (), _page_parameters),
         kind="",
     ),
     Stage(
         "summary",
         "the row of a material in the catalogue",
-        keys=StageKeys(("description",), (), _row_parameters),
+        keys=StageKeys(("description", "accept"), (), _row_parameters),
         kind="",
     ),
     Stage("catalogue", "the catalogue: page, table, dataset and digests", owner_kind="catalogue", kind=""),

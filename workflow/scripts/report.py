@@ -7,7 +7,7 @@ def main(input, output, params):
     """The page of a material."""
     spec = params["spec"]
     with reading.opened(dict(input.items()), evaluated=("bsdf", "predicted", "sheet")) as datasets:
-        page = material_page(datasets, description=spec["description"], exports=spec["exports"])
+        page = material_page(datasets, **spec)
     store.write_text(output["page"], page)
 
 

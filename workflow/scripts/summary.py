@@ -8,7 +8,7 @@ def main(input, output, params):
     spec = params["spec"]
     with reading.opened(dict(input.items())) as datasets:
         store.save_dataset(
-            summarise(datasets, description=spec["description"]),
+            summarise(datasets, **spec),
             output["summary"],
             stage="summary",
             material=params["material"],

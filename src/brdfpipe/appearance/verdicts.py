@@ -6,8 +6,8 @@ The checks judge the BRDF alone. They pass a BRDF from a scan that hardly resolv
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 from brdfpipe import vocabulary
@@ -16,6 +16,12 @@ from brdfpipe.appearance.validity import validity
 
 VERDICTS = ("fail", "warn", "pass")
 """Worst first."""
+
+ACCEPTED = "accepted"
+"""In place of ``warn`` where the description of the material accepts the warning; it makes no verdict worse."""
+
+Acceptances = Sequence[Mapping[str, str]]
+"""Warnings that a description accepts: ``warning``, a part of its text in any case of letters, and ``reason``."""
 
 _BY_PRODUCTS = ("preview", "table", "lambert_gauss")
 """Stages whose warnings concern a by-product and not the BRDF."""
@@ -27,15 +33,19 @@ class Verdict:
 
     name: str
     verdict: str
-    """One of :data:`VERDICTS`."""
+    """One of :data:`VERDICTS`, or :data:`ACCEPTED`."""
     text: str
     of: str = "check"
-    """What gave it: ``check``, ``condition`` of the model, or ``stage`` with warnings."""
+    """What gave it: ``check``, ``condition`` of the model, ``stage`` with warnings, or an ``acceptance`` without a warning."""
 
 
-def verdicts(datasets: Datasets) -> list[Verdict]:
+def verdicts(datasets: Datasets, accepted: Acceptances = ()) -> list[Verdict]:
     """Verdicts of the checks and of the table, ``warn`` for every stage that the BRDF rests on and that has a warning, and ``warn`` or
-    ``fail`` for every condition of the model that the surface meets in part, or does not meet."""
+    ``fail`` for every condition of the model that the surface meets in part, or does not meet.
+
+    A ``warn`` that the description accepts is :data:`ACCEPTED`, with the reason; ``fail`` cannot be accepted. An acceptance without a
+    warning is a warning.
+    """
     unmet = [
         Verdict(
             _lowered(judgement.condition),
@@ -46,12 +56,14 @@ def verdicts(datasets: Datasets) -> list[Verdict]:
         for judgement in ([] if is_measured(datasets) else validity(datasets))
         if judgement.verdict in ("fail", "warn")
     ]
-    return [*check_verdicts(datasets), *unmet, *_warning_verdicts(datasets)]
+    outcomes = [*check_verdicts(datasets), *unmet]
+    judged = [_accepted_entry(entry, accepted) for entry in outcomes]
+    return [*judged, *_warning_verdicts(datasets, accepted), *_unused(datasets, outcomes, accepted)]
 
 
-def overall(datasets: Datasets) -> tuple[str, list[Verdict]]:
+def overall(datasets: Datasets, accepted: Acceptances = ()) -> tuple[str, list[Verdict]]:
     """The verdict of a material, and the entries that it is for; no entries for pass, and an empty verdict where nothing was checked."""
-    outcomes = verdicts(datasets)
+    outcomes = verdicts(datasets, accepted)
     verdict = worst(outcomes)
     return verdict, [] if verdict in ("", "pass") else [entry for entry in outcomes if entry.verdict == verdict]
 
@@ -69,7 +81,13 @@ def check_verdicts(datasets: Datasets) -> list[Verdict]:
 
 def worst(outcomes: Sequence[Verdict]) -> str:
     """The worst verdict; empty where nothing was checked."""
-    return next((verdict for verdict in VERDICTS if any(entry.verdict == verdict for entry in outcomes)), "")
+    found = {entry.verdict for entry in outcomes}
+    return next((verdict for verdict in VERDICTS if verdict in found), "pass" if ACCEPTED in found else "")
+
+
+def reason_to_accept(text: str, accepted: Acceptances) -> str | None:
+    """Why a warning is accepted; None if it is not."""
+    return next((item["reason"] for item in accepted if item["warning"].casefold() in text.casefold()), None)
 
 
 def stage_warnings(datasets: Datasets) -> list[tuple[str, str]]:
@@ -98,9 +116,31 @@ def json_object(text: object) -> dict[str, Any]:
     return value if isinstance(value, dict) else {}
 
 
-def _warning_verdicts(datasets: Datasets) -> list[Verdict]:
-    texts: dict[str, list[str]] = {}
-    own = {stage: dataset for stage, dataset in datasets.items() if stage not in _BY_PRODUCTS}
-    for stage, text in stage_warnings(own):
-        texts.setdefault(stage, []).append(text.strip().removesuffix("."))
-    return [Verdict(stage_title(datasets, stage), "warn", "; ".join(lines), "stage") for stage, lines in texts.items()]
+def _accepted_entry(entry: Verdict, accepted: Acceptances) -> Verdict:
+    reason = reason_to_accept(entry.text, accepted) if entry.verdict == "warn" else None
+    return entry if reason is None else replace(entry, verdict=ACCEPTED, text=f"{entry.text} (accepted: {reason})")
+
+
+def _own_warnings(datasets: Datasets) -> list[tuple[str, str]]:
+    return stage_warnings({stage: dataset for stage, dataset in datasets.items() if stage not in _BY_PRODUCTS})
+
+
+def _warning_verdicts(datasets: Datasets, accepted: Acceptances) -> Iterator[Verdict]:
+    """For each stage with warnings ``warn``, and :data:`ACCEPTED` for those that are accepted."""
+    texts: dict[tuple[str, str], list[str]] = {}
+    for stage, warning in _own_warnings(datasets):
+        text, reason = warning.strip().removesuffix("."), reason_to_accept(warning, accepted)
+        entry = ("warn", text) if reason is None else (ACCEPTED, f"{text} (accepted: {reason})")
+        texts.setdefault((stage, entry[0]), []).append(entry[1])
+    for (stage, verdict), lines in texts.items():
+        yield Verdict(stage_title(datasets, stage), verdict, "; ".join(lines), "stage")
+
+
+def _unused(datasets: Datasets, outcomes: Sequence[Verdict], accepted: Acceptances) -> Iterator[Verdict]:
+    """``warn`` for each acceptance without a warning: it would hide the next one like it."""
+    texts = [entry.text for entry in outcomes if entry.verdict == "warn"]
+    texts += [text for _, text in stage_warnings(datasets)]
+    for item in accepted:
+        if not any(item["warning"].casefold() in text.casefold() for text in texts):
+            text = f"{item['warning']!r} is accepted and no warning has this text; remove it from `accept` in material.yaml"
+            yield Verdict("accepted warnings", "warn", text, "acceptance")

@@ -77,6 +77,21 @@ _LIKE_FIRST = "that of the first scan, for files of the same extension"
 # --- surface
 
 
+class Acceptance(Keys):
+    """A warning that is known."""
+
+    warning: str = key(
+        "a part of its text, in any case of letters",
+        required=True,
+        min_length=8,
+        max_length=255,
+        example="may be truncated",
+    )
+    reason: str = key(
+        "why it does not matter for this material", required=True, min_length=1, max_length=255, example="cut by hand"
+    )
+
+
 class Scan(Keys):
     """A further scan of the same surface."""
 
@@ -859,6 +874,12 @@ class Material(Keys):
     model: Model = key("how the reflection is modelled", default=Model.model_construct())
     exports: Annotated[list[Annotated[str, OneOf(tuple(FORMATS))]], Items()] = key(
         "files for other programs; " + EXPORT_WORDS, default_words="`exports` of the configuration", example=["astm"]
+    )
+    accept: list[Acceptance] = key(
+        "warnings that are known and accepted, each with its reason",
+        default_words="none",
+        example=[{"warning": "may be truncated", "reason": "the strip was cut by hand"}],
+        details="See [accepted warnings](nightly.md#accepted-warnings).",
     )
     scene: str = key(
         "what its results are for; the name of a shipped scene, or the path of a file in relation to this one",

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import xarray as xr
 from markupsafe import Markup, escape
 
+from brdfpipe.appearance.verdicts import ACCEPTED
 from brdfpipe.errors import printable
 from brdfpipe.report.cards import WORDS
 
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
 
 TEMPLATES = Path(__file__).parent / "templates"
 
-_VERDICT_SYMBOLS = {"pass": "✓", "warn": "!", "fail": "✕"}
+_VERDICT_SYMBOLS = {"pass": "✓", "warn": "!", "fail": "✕", ACCEPTED: "✓"}
 
 OTHER_SECTIONS = frozenset({"reduced", "primary", "smoothed", "calibration", "comparison"})
 """Kinds of dataset that the sections of the rig and of the comparison show."""

@@ -16,7 +16,7 @@ import xarray as xr
 from brdfpipe import vocabulary
 from brdfpipe.appearance.origin import basis, route, uncertainty_not_stated
 from brdfpipe.appearance.quantities import AppearanceQuantity, applicabilities, quantities, quantities_on_request
-from brdfpipe.appearance.verdicts import overall, stage_warnings
+from brdfpipe.appearance.verdicts import Acceptances, overall, reason_to_accept, stage_warnings
 from brdfpipe.errors import VocabularyError
 from brdfpipe.report.formatting import colour
 from brdfpipe.report.plots.svg import data_uri
@@ -48,13 +48,14 @@ def text_columns() -> dict[str, str]:
     }
 
 
-def summarise(datasets: Mapping[str, xr.Dataset], *, description: str = "") -> xr.Dataset:
+def summarise(datasets: Mapping[str, xr.Dataset], *, description: str = "", accepted: Acceptances = ()) -> xr.Dataset:
     """The row of one material.
 
     Parameters
     ----------
     datasets : stage → its dataset, as for :func:`brdfpipe.report.material_page`
     description : of the material, by its user
+    accepted : warnings that the description accepts; they are not counted
 
     Returns
     -------
@@ -71,13 +72,13 @@ def summarise(datasets: Mapping[str, xr.Dataset], *, description: str = "") -> x
         **{quantity.u_name: quantity.uncertainty(known) for quantity in quantities() if quantity.u},
         "route": route(known),
         "basis": basis(known),
-        **_verdict_texts(known),
+        **_verdict_texts(known, accepted),
         **{f"no_{applicability.name}": applicability.exclusion(known) for applicability in applicabilities()},
         "uncertainty_not_stated": uncertainty_not_stated(known),
         "thumbnail": thumbnail(known["preview"]) if "preview" in known else "",
         "digests": json.dumps(digests, sort_keys=True),
         "description": description,
-        "warning_count": len(stage_warnings(known)),
+        "warning_count": sum(reason_to_accept(text, accepted) is None for _, text in stage_warnings(known)),
         "srgb": appearance["srgb"].values if "srgb" in appearance else np.full(3, np.nan),
     }
     return _dataset([row])
@@ -147,8 +148,8 @@ def _number_columns(names: Container[Any] = ()) -> dict[str, tuple[str, str]]:
     return columns
 
 
-def _verdict_texts(datasets: Mapping[str, xr.Dataset]) -> dict[str, str]:
-    verdict, reasons = overall(datasets)
+def _verdict_texts(datasets: Mapping[str, xr.Dataset], accepted: Acceptances) -> dict[str, str]:
+    verdict, reasons = overall(datasets, accepted)
     return {
         "verdict": verdict,
         "verdict_checks": ", ".join(entry.name for entry in reasons),

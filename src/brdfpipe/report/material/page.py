@@ -10,7 +10,14 @@ from brdfpipe.appearance.applicability import limits
 from brdfpipe.appearance.origin import basis, is_measured, route, solution_words
 from brdfpipe.appearance.quantities import viewing_conditions
 from brdfpipe.appearance.validity import validity
-from brdfpipe.appearance.verdicts import overall, stage_title, stage_warnings, verdicts
+from brdfpipe.appearance.verdicts import (
+    Acceptances,
+    overall,
+    reason_to_accept,
+    stage_title,
+    stage_warnings,
+    verdicts,
+)
 from brdfpipe.report import comparison
 from brdfpipe.report.cards import Section
 from brdfpipe.report.formatting import colour
@@ -26,7 +33,13 @@ from brdfpipe.report.rendering import material_name, own_stages, render
 from brdfpipe.report.rig import section as rig_section
 
 
-def material_page(datasets: Mapping[str, xr.Dataset], *, description: str = "", exports: Collection[str] = ()) -> str:
+def material_page(
+    datasets: Mapping[str, xr.Dataset],
+    *,
+    description: str = "",
+    exports: Collection[str] = (),
+    accepted: Acceptances = (),
+) -> str:
     """The report of one material, one self-contained HTML file.
 
     Parameters
@@ -34,6 +47,7 @@ def material_page(datasets: Mapping[str, xr.Dataset], *, description: str = "", 
     datasets : stage → its dataset, in the order of the page; any may be absent
     description : of the material, by its user; untrusted, shown as text
     exports : names of the formats in :data:`brdfpipe.exchange.registry.FORMATS` in which the material was exported
+    accepted : warnings that the description accepts
 
     Returns
     -------
@@ -44,7 +58,7 @@ def material_page(datasets: Mapping[str, xr.Dataset], *, description: str = "", 
     measured = is_measured(known)
     facts = list(key_numbers(known))
     conditions = [] if measured else validity(known)
-    verdict, reasons = overall(known)
+    verdict, reasons = overall(known, accepted)
     exported = exports_table(known, material_name(known), exports)
     inputs = [
         effect_pigment_section(known),
@@ -75,13 +89,15 @@ def material_page(datasets: Mapping[str, xr.Dataset], *, description: str = "", 
         look=picture(known.get("preview")),
         verdict=verdict,
         reasons=reasons,
-        verdicts=verdicts(known),
+        verdicts=verdicts(known, accepted),
         facts=facts,
         plus_minus=any("±" in fact.value for fact in facts),
         validity=conditions,
         validity_note=_validity_note(known) if conditions else _no_conditions(known),
         limits=limits(known),
-        warnings=[(stage_title(known, stage), text) for stage, text in stage_warnings(known)],
+        warnings=[
+            (stage_title(known, stage), text, reason_to_accept(text, accepted)) for stage, text in stage_warnings(known)
+        ],
         sections=[section for section in sections if section],
         prediction=[section for section in prediction if section],
         rig=rig_section.chapter(datasets),
