@@ -17,6 +17,7 @@ import sys
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -31,7 +32,7 @@ from brdfpipe.descriptions.rendering import with_section
 from brdfpipe.report.plots.svg import Axis, Line, Points, chart
 from brdfpipe.scenes.candidate_model import build
 from brdfpipe.scenes.experience import candidate_of
-from brdfpipe.scenes.ladders import FULLEST, SPECTRAL_LADDERS, Candidate
+from brdfpipe.scenes.ladders import FULLEST, LADDERS, SPECTRAL_LADDERS, Candidate
 from brdfpipe.scenes.model_inputs import ModelInputs
 from brdfpipe.scenes.scene import Scene, load_scene, shipped_scenes
 
@@ -43,6 +44,7 @@ SECTION = "pareto fronts"
 
 INPUTS = ("index", "spectrum", "facets", "psd", "surface")
 COLUMNS = ("Slopes", "Optics", "Masking", "Reflections", "Other")
+_RUNGS = [[rung.name for rung in ladder] for ladder in LADDERS.values()]
 NEGLIGIBLE = 0.01
 """Change of an error over the tolerance of the scene that says nothing."""
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00")
@@ -110,21 +112,36 @@ def record(materials: Mapping[str, Mapping[str, Any]], scenes: Sequence[Scene]) 
     for scene in scenes:
         negligible = NEGLIGIBLE * scene.content["tolerance"]
         for name, of_material in materials.items():
-            points = points_of(of_material, scene.name)
+            points = {
+                key: (_rounded(error), _rounded(cost))
+                for key, (error, cost) in points_of(of_material, scene.name).items()
+            }
             on_front = set(front(points))
             for key, (error, cost) in points.items():
                 rows.append(
                     {
                         "choice": f"{scene.name}, {name}",
                         "option": str(candidate_of(key)),
-                        "errors": {scene.content["metric"]: {"value": _rounded(error), "negligible": negligible}},
+                        "errors": {scene.content["metric"]: {"value": error, "negligible": negligible}},
                         "relative_time": {"build": _rounded(of_material[key]["relative_time"])},
-                        "seconds": _rounded(cost),
+                        "seconds": cost,
                         "bytes": of_material[key]["bytes"],
                         "on_front": key in on_front,
                     }
                 )
     return rows
+
+
+def recorded(rows: Sequence[Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
+    """What :func:`section` needs of each material, by candidate, from the rows of a record."""
+    keys = {str(one): one.key for one in (Candidate(*rungs) for rungs in product(*_RUNGS))}
+    materials: dict[str, dict[str, Any]] = {}
+    for row in rows:
+        scene, name = row["choice"].split(", ")
+        found = materials.setdefault(name, {}).setdefault(keys[row["option"]], {"errors": {}})
+        found["errors"][scene] = next(iter(row["errors"].values()))["value"]
+        found |= {"cost": row["seconds"], "bytes": row["bytes"]}
+    return materials
 
 
 def _rounded(value: float) -> float:
@@ -201,6 +218,11 @@ def figure(materials: Mapping[str, Mapping[str, Any]], scene: Scene) -> str:
     return f"{drawn[:head]}<style>{STYLE}{colours}.tolerance{{stroke:#888}}</style>{drawn[head:-6]}{names}</svg>\n"
 
 
+def with_tables(page: str, rows: Sequence[Mapping[str, Any]]) -> str:
+    """The page with the tables of a record."""
+    return with_section(page, SECTION, section(recorded(rows), [load_scene(name) for name in shipped_scenes()]))
+
+
 @click.command(help=__doc__)
 def main() -> None:
     scenes = [load_scene(name) for name in shipped_scenes()]
@@ -210,6 +232,7 @@ def main() -> None:
         with click.progressbar(found, label="examples") as bar:
             materials = {name: measured(inputs, scenes) for name, inputs in bar}
     rows = record(materials, scenes)
+    materials = recorded(rows)
     for sentence in compare(json.loads(RECORD.read_text()), rows) if RECORD.exists() else ():
         click.echo(sentence)
     lines = ",\n".join(json.dumps(row) for row in rows)
@@ -217,7 +240,7 @@ def main() -> None:
     FIGURES.mkdir(exist_ok=True)
     for scene in scenes:
         store.write_text(FIGURES / f"{scene.name}.svg", figure(materials, scene))
-    store.write_text(PAGE, with_section(PAGE.read_text(), SECTION, section(materials, scenes)))
+    store.write_text(PAGE, with_tables(PAGE.read_text(), rows))
 
 
 if __name__ == "__main__":

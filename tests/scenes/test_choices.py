@@ -53,6 +53,12 @@ def test_the_choice_of_a_source_stands_beside_what_takes_its_place():
     assert len(summary_of_sources([grids().as_json()])) == 2
 
 
+def test_the_tables_of_the_page_are_those_of_the_record():
+    record, page = json.loads(choices.RECORD.read_text(encoding="utf-8")), choices.PAGE.read_text(encoding="utf-8")
+    assert choices.with_tables(page, record) == page
+    assert choices.with_tables(page, {**record, "machine": "another"}) != page
+
+
 def test_a_run_keeps_what_it_does_not_measure_and_names_what_became_worse(tmp_path, monkeypatch):
     record, page = tmp_path / "choices.json", tmp_path / "page.md"
     page.write_text("# Above\n\n<!-- choices -->\n<!-- end -->\n\nBelow\n", encoding="utf-8")

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
+
 import pytest
-from pareto_fronts import front, record
+from pareto_fronts import PAGE, RECORD, front, record, with_tables
 
 from brdfpipe.descriptions.rendering import with_section
 from brdfpipe.scenes.ladders import FULLEST, Candidate
@@ -37,6 +39,13 @@ def test_the_record_has_relative_times_and_what_is_on_the_front():
     assert [row["relative_time"]["build"] for row in found] == [0.5, 1.0]
     assert [row["on_front"] for row in found] == [True, True]
     assert found[0]["errors"]["gloss"] == {"value": 0.5, "negligible": pytest.approx(0.01)}
+
+
+def test_the_tables_of_the_page_are_those_of_the_record():
+    rows = json.loads(RECORD.read_text())
+    page = PAGE.read_text()
+    assert with_tables(page, rows) == page
+    assert with_tables(page, [{**row, "seconds": 2 * row["seconds"]} for row in rows]) != page
 
 
 def test_only_the_named_section_of_a_page_is_replaced():
