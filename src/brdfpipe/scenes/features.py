@@ -7,7 +7,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from brdfpipe.facets.facet_dataset import azimuthal_average
+from brdfpipe.facets.facet_dataset import radial_average
+from brdfpipe.facets.planar_density import PlanarDensity
 from brdfpipe.facets.radial_density import RadialDensity
 from brdfpipe.geometry import Array
 from brdfpipe.masking.visibility_choice import smith_errors
@@ -61,7 +62,8 @@ def features(inputs: ModelInputs) -> dict[str, float]:
     facets, index = inputs.facets, inputs.index
     if facets is None:
         raise ValueError("features need facets")
-    density = RadialDensity.of(azimuthal_average(facets) if facets["slope_density"].ndim == 2 else facets)
+    lay = facets["slope_density"].ndim == 2
+    density = radial_average(PlanarDensity.of(facets)) if lay else RadialDensity.of(facets)
     slope = density.median_slope
     n, k = (float(value[0]) for value in interpolate_index(index, np.array([ONE_WAVELENGTH])))
     result = dict.fromkeys(FEATURES, 0.0)
@@ -80,7 +82,7 @@ def features(inputs: ModelInputs) -> dict[str, float]:
         centred = heights - np.nanmean(heights)
         deviation = math.sqrt(np.nanmean(centred**2))
         result["height_skewness"] = float(np.clip(np.nanmean(centred**3) / max(deviation, 1e-12) ** 3, -2, 2))
-    if facets["slope_density"].ndim == 2:
+    if lay:
         result["log_anisotropy"] = math.log(float(facets["anisotropy"]))
     result["log_mirror"] = math.log(float(fresnel(1.0, n, k)[2]))
     result["diffuse"] = inputs.luminous_reflectance
