@@ -64,8 +64,9 @@ accuracy: $(VENV)/.runtime  ## compare every model of a surface with reference s
 extremes: $(VENV)/.dev  ## run every stage at the extremes of its inputs; write docs/extremes.md (two minutes)
 	@$(BIN)/python benchmarks/extremes.py
 
-tradeoff: $(VENV)/.dev  ## measure error and cost of every candidate model for every scene, and of every other choice (an hour)
+tradeoff: $(VENV)/.dev  ## measure error and cost of every candidate model for every scene, and of every other choice (two hours)
 	@$(BIN)/python benchmarks/tradeoff.py
+	@$(BIN)/python benchmarks/tradeoff.py --new
 	@$(BIN)/python benchmarks/pareto_fronts.py
 	@$(BIN)/python benchmarks/choices.py
 

@@ -1,8 +1,9 @@
 """The trade of speed for accuracy: error and cost of every candidate model, for every scene with the cheapest model.
 
 ``python benchmarks/tradeoff.py`` builds the candidates of random materials, measures the error of each against the fullest
-one by the metric and in the domain of each scene, and writes what the planner of scenes looks up (``config/scenes/experience``). Times are of the
-processor, of one thread, after compilation.
+one by the metric and in the domain of each scene, and writes what the planner of scenes looks up (``config/scenes/experience``).
+``python benchmarks/tradeoff.py --new`` then tries the planner on further random materials, which set nothing of it. Times are of the processor, of
+one thread, after compilation.
 """
 
 from __future__ import annotations
@@ -12,10 +13,7 @@ import os
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import json
-import sys
-import time
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
@@ -24,65 +22,39 @@ from typing import Any
 import click
 import numpy as np
 import xarray as xr
+from planner_figures import WidthError, calibrated, of_new_materials, shortest
+from planner_record import LEFT_OUT, NEW_MATERIALS, SceneOutcomes, renewed
+from random_materials import FURTHER, random_material
 
 from brdfpipe import store
 from brdfpipe.appearance.validity import SIGNIFICANT
+from brdfpipe.bsdf import traced
+from brdfpipe.bsdf.reference_solution import facet_smoothness, holds, phase_variance
 from brdfpipe.comparison.model_error import model_error
-from brdfpipe.descriptions.rendering import with_section
 from brdfpipe.errors import BrdfpipeError
-from brdfpipe.facets.analytic_distributions import analytic
-from brdfpipe.facets.estimation import estimate
-from brdfpipe.optics.index import refractive_index
-from brdfpipe.psd.estimation import estimate as roughness_spectrum
+from brdfpipe.references.height_mesh import HeightMesh
+from brdfpipe.scenes import experience
 from brdfpipe.scenes.candidate_model import build
-from brdfpipe.scenes.error_regression import Prediction, Regression
-from brdfpipe.scenes.experience import CERTAINTY, NEGLIGIBLE, Experience, Known, Trial, candidate_of
+from brdfpipe.scenes.experience import NEGLIGIBLE, Experience, Known, Trial, candidate_of
 from brdfpipe.scenes.features import features
 from brdfpipe.scenes.ladders import FULLEST, Candidate
 from brdfpipe.scenes.metrics import METRICS
 from brdfpipe.scenes.model_inputs import ModelInputs
-from brdfpipe.scenes.planning import chosen, judgement
-from brdfpipe.scenes.scene import Scene, experience_file, load_scene, shipped_scenes
+from brdfpipe.scenes.scene import Scene, load_scene, measured_errors_file, shipped_scenes
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
-
-import relief_maps
-import samples
-
-PAGE = Path(__file__).resolve().parents[1] / "docs" / "tradeoff.md"
-SIZE = 256
-"""Heights along each axis of a random map."""
-POINTS = 4096
-"""Heights of a random line."""
 MATERIALS = 160
-KINDS = {
-    "normal": 0.18,
-    "polished": 0.2,
-    "two scales": 0.08,
-    "GGX": 0.1,
-    "cells": 0.1,
-    "cells upside down": 0.1,
-    "ridges": 0.1,
-    "line": 0.08,
-    "named density": 0.06,
-}
-"""Kind of a random surface → its share."""
-FURTHER = range(10_000, 10_040)
-"""Seeds of further materials of a named density, which are cheap to measure."""
-METALS = 0.15
-"""Share of random materials that are metals."""
+NEW = 20_000
+"""First seed of new materials, from which no parameter of the planner follows."""
 OPTIONS: Mapping[str, Mapping[str, Any]] = {"glare": {"n": 2048}, "rendering": {"n": 256, "side": 32}}
 """Options of metrics where errors are measured."""
 FRESH: Mapping[str, Mapping[str, Any]] = {"glare": {"n": 10_240, "seed": 1}}
 """Options of metrics of directions where the choice is tested: at others, and more of them."""
 FAR_OFF = 3.0
 """Error over the tolerance from which more directions do not change that a model is not accepted."""
-ENOUGH_HELD = 0.99
-"""Share of the materials whose choice has to err by less than the tolerance."""
-DEVIATIONS = (CERTAINTY, 2.7, 3.1, 3.6, 4.2, 5.0)
-"""Standard deviations above the expected error, at which its bound may be."""
-REPEATS, ENOUGH = 2, 0.4
-"""Most builds of a candidate, and the time [s] after which no other one follows."""
+INCIDENCES = np.linspace(0.0, 85.0, 18)
+"""Angles of incidence at which rays have to hold on the map of a reference [degree]."""
+TRACED_RAYS = 200_000
+"""Rays of each incidence of a reference."""
 RENDERED = 3
 """One in so many random materials is rendered: pictures cost more than all other metrics together."""
 
@@ -91,58 +63,6 @@ def planned_scenes() -> list[Scene]:
     """The shipped scenes that accept the cheapest model."""
     scenes = (load_scene(name) for name in shipped_scenes())
     return [scene for scene in scenes if scene.accepts_cheapest]
-
-
-# --- materials
-
-
-def random_material(seed: int) -> tuple[str, ModelInputs]:
-    """A random material of one of :data:`KINDS`, and its kind."""
-    rng = np.random.default_rng([seed, 77])
-    kind = "named density" if seed in FURTHER else str(rng.choice(list(KINDS), p=list(KINDS.values())))
-    surface, facets = random_surface(kind, rng)
-    index: Any = float(rng.uniform(1.35, 1.7))
-    spectrum = None
-    if rng.random() < METALS:
-        index = {"n": float(rng.uniform(0.2, 3)), "k": float(rng.uniform(2, 7))}
-    else:
-        wavelength = np.arange(380.0, 781.0, 10.0)
-        edge = np.tanh((wavelength - rng.uniform(450, 650)) / rng.uniform(20, 80))
-        reflectance = np.clip(rng.uniform(0.05, 0.85) * (1 + rng.uniform(-0.35, 0.35) * edge), 0.05, 0.95)
-        grey = samples.spectrum(0.3).interp(wavelength=wavelength)
-        spectrum = grey.assign(total_reflectance=grey["total_reflectance"].copy(data=reflectance))
-    psd = None if surface is None else roughness_spectrum(surface)
-    return kind, ModelInputs(refractive_index(index), spectrum, facets, psd, surface)
-
-
-def random_surface(kind: str, rng: np.random.Generator) -> tuple[xr.Dataset | None, xr.Dataset]:
-    """Heights of a kind, None of a named density, and their facets."""
-
-    def spread(low: float, high: float) -> float:
-        return float(np.exp(rng.uniform(np.log(low), np.log(high))))
-
-    seed, pitch = int(rng.integers(1 << 30)), 1.0
-    if kind == "named density":
-        return None, analytic(str(rng.choice(["beckmann", "ggx"])), spread(0.03, 0.6))
-    if kind == "line":
-        fine = rng.standard_normal(POINTS)
-        height = np.fft.irfft(np.fft.rfft(fine) * np.exp(-((np.pi * np.fft.rfftfreq(POINTS) * spread(6, 20)) ** 2) / 2))
-        height *= spread(0.02, 0.4) / np.diff(height).std()
-    elif kind == "normal":
-        height = relief_maps.gaussian(spread(0.02, 0.6), SIZE, seed, length=spread(6, 20))
-    elif kind == "polished":
-        height = relief_maps.gaussian(0.1, SIZE, seed, length=spread(4, 20))
-        height, pitch = height / height.std() * spread(0.003, 0.4), 0.5
-    elif kind == "two scales":
-        height = relief_maps.two_scales(SIZE, seed) * spread(0.1, 2)
-    elif kind == "GGX":
-        height = relief_maps.ggx_like(SIZE, seed, width=spread(0.03, 0.3))
-    elif kind == "ridges":
-        height = relief_maps.ridges(SIZE, seed, slope=spread(0.05, 0.4))
-    else:
-        height = relief_maps.cells(SIZE, seed) * spread(0.15, 1.3) * (1 if kind == "cells" else -1)
-    surface = samples.surface(height, (pitch, pitch))
-    return surface, estimate(surface, isotropic=True if height.ndim == 1 else None)
 
 
 # --- measurements
@@ -155,7 +75,7 @@ def measure(
     rows: dict[str, Any] = {}
     for candidate in candidates:
         try:
-            bsdf, cost = timed(candidate, inputs)
+            bsdf, cost = shortest(partial(build, candidate, inputs))
         except BrdfpipeError as error:
             rows[candidate.key] = {"refused": str(error)}
             continue
@@ -175,16 +95,6 @@ def measure(
             except BrdfpipeError as problem:
                 row.setdefault("not compared", {})[scene.name] = str(problem)
     return rows
-
-
-def timed(candidate: Candidate, inputs: ModelInputs) -> tuple[xr.Dataset, float]:
-    """The BSDF of a candidate and the processor time of its build [s], the shortest of some where it is short."""
-    times: list[float] = []
-    while len(times) < REPEATS and sum(times) < ENOUGH:
-        start = time.process_time()
-        bsdf = build(candidate, inputs)
-        times.append(time.process_time() - start)
-    return bsdf, min(times)
 
 
 def _error(metric: str, bsdf: xr.Dataset, fullest: xr.Dataset, scene: Scene, options: Mapping[str, Any]) -> float:
@@ -207,6 +117,49 @@ def gloss_error(inputs: ModelInputs, fullest: xr.Dataset) -> float | None:
     return max(float(np.nanmax(errors)), 0.0) if np.isfinite(errors).any() else None
 
 
+def model_errors(inputs: ModelInputs, fullest: xr.Dataset, scenes: Sequence[Scene]) -> dict[str, float | None]:
+    """What the fullest model errs by at least, by scene; None where no reference holds on the map, or there is none.
+
+    Gloss: :func:`gloss_error`. Other metrics: the error against the BSDF of rays that are traced over the map, less the error between two
+    of these from different rays, which is more than the noise of one: metrics are distances.
+    """
+    metrics = {scene.content["metric"] for scene in scenes}
+    found: dict[str, float | None] = {}
+    if "gloss" in metrics:
+        found |= {scene.name: gloss_error(inputs, fullest) for scene in scenes if scene.content["metric"] == "gloss"}
+    references = _traced(inputs) if metrics - {"gloss"} else None
+    for scene in scenes:
+        if scene.name in found:
+            continue
+        found[scene.name] = None
+        if references is not None:
+            first, second = references
+            metric = scene.content["metric"]
+            try:
+                error, noise = (_error(metric, one, first, scene, OPTIONS) for one in (fullest, second))
+            except BrdfpipeError:
+                continue
+            found[scene.name] = max(error - noise, 0.0)
+    return found
+
+
+def _traced(inputs: ModelInputs) -> tuple[xr.Dataset, xr.Dataset] | None:
+    """Two BSDFs of rays traced over the map, from different rays; None without a map, or where rays do not hold at all incidences."""
+    surface = inputs.surface
+    if (
+        surface is None
+        or surface["height"].ndim == 1
+        or (inputs.facets is not None and inputs.facets["slope_density"].ndim == 2)
+    ):
+        return None
+    slope = HeightMesh.of(surface).typical_slope
+    variance, smoothness = (one(surface, INCIDENCES) for one in (phase_variance, facet_smoothness))
+    if not holds(variance, slope, INCIDENCES, smoothness).traced.all():
+        return None
+    given = {"index": inputs.index, "spectrum": inputs.spectrum, "rays": TRACED_RAYS}
+    return traced.build(surface, seed=1, **given), traced.build(surface, seed=2, **given)
+
+
 def measured_material(seed: int, folder: Path) -> Path:
     """Measure a random material; again only if the scenes changed since."""
     file = folder / f"{seed}.json"
@@ -215,7 +168,9 @@ def measured_material(seed: int, folder: Path) -> Path:
     if not file.exists() or json.loads(file.read_text()).get("measured_for") != measured_for:
         kind, inputs = random_material(seed)
         fullest = build(FULLEST, inputs)
-        row = {"name": f"{kind} {seed}", "features": features(inputs), "model_error": gloss_error(inputs, fullest)}
+        row: dict[str, Any] = {"name": f"{kind} {seed}"}
+        row["features"], row["features_cost"] = shortest(partial(features, inputs))
+        row["model_errors"] = model_errors(inputs, fullest, scenes)
         row |= {"candidates": measure(inputs, inputs.structures, scenes, fullest), "measured_for": measured_for}
         store.write_text(file, json.dumps(row))
     return file
@@ -232,74 +187,66 @@ def experience_of(scene: Scene, rows: list[dict[str, Any]]) -> Experience:
         }
         if not trials:
             continue
-        of_metric = row["model_error"] if scene.content["metric"] == "gloss" else None
-        known.append(Known(row["name"], row["features"], trials, of_metric))
+        known.append(Known(row["name"], row["features"], trials, row["model_errors"].get(scene.name)))
     least = NEGLIGIBLE * scene.content["tolerance"]
-    return calibrated(scene, Experience(scene.content["metric"], scene.errors_of, tuple(known), least).fitted(), rows)
+    return Experience(scene.content["metric"], scene.errors_of, tuple(known), least).fitted()
 
 
-def calibrated(scene: Scene, experience: Experience, rows: Sequence[Mapping[str, Any]]) -> Experience:
-    """With the smallest bounds for which enough materials that are left out hold the tolerance; the largest where none is enough."""
-    for deviations in DEVIATIONS:
-        experience = replace(experience, deviations=deviations)
-        if left_out(scene, experience, rows)["held"] >= ENOUGH_HELD:
-            break
-    return experience
+# --- results
 
 
-def left_out(scene: Scene, experience: Experience, rows: Sequence[Mapping[str, Any]]) -> dict[str, float]:
-    """The planner on each material by what was measured on the others: how often the tolerance held, and the cost of its choices.
+def measured_rows(seeds: Sequence[int], folder: Path, processes: int) -> list[dict[str, Any]]:
+    """What was measured of random materials, of which those in the folder are not measured again."""
+    folder.mkdir(parents=True, exist_ok=True)
+    build(FULLEST, random_material(0)[1])
+    with get_context("spawn").Pool(processes) as pool:
+        work = pool.imap_unordered(partial(measured_material, folder=folder), seeds)
+        with click.progressbar(work, length=len(seeds), label="materials") as bar:
+            for _ in bar:
+                pass
+    return [json.loads((folder / f"{seed}.json").read_text()) for seed in seeds]
 
-    The parameters of the regressions are those of all materials: some ten numbers for each candidate.
+
+def write_experience(rows: list[dict[str, Any]]) -> list[str]:
+    """Write the experience of every scene from its materials, and the table of the planner on each of these by the others.
+
+    Returns
+    -------
+    Why a scene has no experience, which then takes the fullest model
     """
-    fresh = {row["name"]: row["candidates"] for row in rows}
-    candidates = dict.fromkeys(candidate for known in experience.materials for candidate in known.trials)
-    errors = {one: _left_out(experience.error(one), experience.tried(one)) for one in candidates}
-    expected_costs = {one: _left_out(experience.cost(one), experience.tried(one)) for one in candidates}
-    held, costs, cheapest, fullest, decided = [], [], [], [], 0
-    tolerance = scene.content["tolerance"]
-    for known in experience.materials:
-        judged = [
-            judgement(one, errors[one].get(known.name), expected_costs[one].get(known.name), experience.deviations)
-            for one in known.trials
-        ]
-        choice = chosen(judged, tolerance).candidate
-        decided += choice != FULLEST
-        error = fresh[known.name][choice.key]["fresh_errors"].get(scene.name, known.trials[choice].error)
-        held.append(error <= tolerance)
-        costs.append(known.trials[choice].cost)
-        cheapest.append(min(trial.cost for trial in known.trials.values() if trial.error <= tolerance))
-        fullest.append(known.trials[FULLEST].cost)
-    return {
-        "materials": len(held),
-        "held": float(np.mean(held)),
-        "cheaper": decided / len(held),
-        "cost": float(np.sum(costs) / np.sum(cheapest)),
-        "within 1.3": float(np.mean(np.array(costs) <= 1.3 * np.array(cheapest))),
-        "saved": 1 - float(np.sum(costs) / np.sum(fullest)),
-        "possible": 1 - float(np.sum(cheapest) / np.sum(fullest)),
-    }
+    refusals, found = [], {}
+    for scene in planned_scenes():
+        path = measured_errors_file(scene.name)
+        try:
+            tried, outcomes = calibrated(scene, experience_of(scene, rows), rows)
+        except WidthError as refusal:
+            path.unlink(missing_ok=True)
+            refusals.append(f"{refusal}. {path} was removed: the scene takes the fullest model")
+            continue
+        path.parent.mkdir(exist_ok=True)
+        tried.write(path)
+        found[scene.name] = SceneOutcomes(scene.content["tolerance"], outcomes)
+    renewed(LEFT_OUT, found)
+    return refusals
 
 
-def _left_out(regression: Regression | None, tried: Sequence[Known]) -> dict[str, Prediction]:
-    """Prediction for each material from the others, by its name."""
-    predictions = [] if regression is None else regression.left_out()
-    return {known.name: prediction for known, prediction in zip(tried, predictions, strict=regression is not None)}
-
-
-def planner_table(figures: Mapping[str, Mapping[str, float]]) -> str:
-    """The table of docs/tradeoff.md of what :func:`left_out` found for each scene."""
-    lines = ["| Scene | Materials | Held | Cheaper | Cost | Within 1.3 | Saved | Possible |", "|---" * 8 + "|"]
-    for name, one in figures.items():
-        lines.append(
-            f"| `{name}` | {one['materials']} | {one['held']:.1%} | {one['cheaper']:.0%} | {one['cost']:.2f} | "
-            f"{one['within 1.3']:.0%} | {one['saved']:.0%} | {one['possible']:.0%} |"
-        )
-    return "\n".join(lines)
+def write_new_materials(rows: list[dict[str, Any]]) -> None:
+    """Write the table of the planner with the shipped experience on materials that set nothing of it."""
+    found = {}
+    for scene in planned_scenes():
+        if scene.experience_file is not None:
+            outcomes = of_new_materials(scene, *shortest(partial(experience.read, scene.experience_file)), rows)
+            found[scene.name] = SceneOutcomes(scene.content["tolerance"], outcomes)
+    renewed(NEW_MATERIALS, found)
 
 
 @click.command(help=__doc__)
 @click.option("--materials", default=MATERIALS, show_default=True, help="Random materials of all kinds.")
+@click.option(
+    "--new",
+    is_flag=True,
+    help="Plan materials that set nothing, by the experience in config/scenes, and write their table alone.",
+)
 @click.option(
     "--folder",
     type=click.Path(path_type=Path),
@@ -308,25 +255,11 @@ def planner_table(figures: Mapping[str, Mapping[str, float]]) -> str:
     help="Where measurements are kept; those there are not repeated.",
 )
 @click.option("--processes", default=2, show_default=True)
-def main(materials: int, folder: Path, processes: int) -> None:
-    folder.mkdir(parents=True, exist_ok=True)
-    build(FULLEST, random_material(0)[1])
-    with get_context("spawn").Pool(processes) as pool:
-        seeds = [*FURTHER, *range(materials)]
-        work = pool.imap_unordered(partial(measured_material, folder=folder), seeds)
-        with click.progressbar(work, length=len(seeds), label="materials") as bar:
-            for _ in bar:
-                pass
-    rows = [json.loads((folder / f"{seed}.json").read_text()) for seed in seeds]
-    figures = {}
-    for scene in planned_scenes():
-        experience = experience_of(scene, rows)
-        path = experience_file(scene.name)
-        path.parent.mkdir(exist_ok=True)
-        experience.write(path)
-        figures[scene.name] = left_out(scene, experience, rows)
-    store.write_text(PAGE, with_section(PAGE.read_text(), "planner", planner_table(figures)))
-    click.echo(planner_table(figures))
+def main(materials: int, new: bool, folder: Path, processes: int) -> None:
+    if new:
+        write_new_materials(measured_rows(range(NEW, NEW + materials), folder, processes))
+    elif refusals := write_experience(measured_rows([*FURTHER, *range(materials)], folder, processes)):
+        raise click.ClickException("\n".join(refusals))
 
 
 if __name__ == "__main__":

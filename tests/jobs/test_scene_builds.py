@@ -12,6 +12,7 @@ from brdfpipe.jobs import failures
 from brdfpipe.jobs.build import build as build_catalogue
 from brdfpipe.jobs.cleanup import STALE
 from brdfpipe.jobs.summary import Summary
+from brdfpipe.scenes.scene import load_scene
 
 Write = Callable[..., Path]
 
@@ -92,7 +93,8 @@ def test_a_model_is_planned_unless_the_material_has_keys_of_the_model(
 ) -> None:
     experience = project / "config" / "scenes" / "experience" / "gloss-sheet.json"
     experience.parent.mkdir()
-    experience.write_text("errors")
+    head = json.dumps({"scene": load_scene("gloss-sheet").errors_of})[:-1] + ', "parameters": {\n'
+    experience.write_text(f"{head}errors")
     with (folder / "second" / "material.yaml").open("a") as description:
         description.write("model: {optics: facets}\n")
     build(folder, results, "gloss-sheet")
@@ -107,7 +109,7 @@ def test_a_model_is_planned_unless_the_material_has_keys_of_the_model(
     assert {"second/predicted.nc", "second/nominal_bsdf.nc"} <= files(results)
     assert not {"first/predicted.nc", "first/wave.nc", "first/nominal_bsdf.nc"} & files(results)
     assert build(folder, results, "gloss-sheet").jobs == 0
-    experience.write_text("other errors")
+    experience.write_text(f"{head}other errors")
     assert build(folder, results, "gloss-sheet").jobs > 0
 
 

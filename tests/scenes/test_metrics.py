@@ -14,6 +14,7 @@ from brdfpipe.errors import BrdfpipeError
 from brdfpipe.scenes import metrics
 from brdfpipe.scenes.domain import Domain
 from brdfpipe.scenes.metrics import METRICS
+from brdfpipe.scenes.scene_keys import METRICS_OF_DOMAINS
 from brdfpipe.spectra import colorimetry
 from brdfpipe.spectra.colour_science import colour
 
@@ -47,6 +48,14 @@ def test_a_brdf_has_no_error_against_itself(name):
     for figure in METRICS[name].figures(lambert_and_peak(0.2, 1.0), lambert_and_peak(0.2, 1.0), HEMISPHERE, **options):
         assert (figure.value, figure.u) == (0, 0)
     assert METRICS[name].error(lambert(), lambert(), HEMISPHERE, **options).unit == METRICS[name].unit
+
+
+@pytest.mark.parametrize("name", METRICS)
+def test_the_error_of_a_metric_depends_on_the_domain_if_it_is_listed_so(name):
+    options = {"gloss": {}, "rendering": {"n": 256, "side": 16}}.get(name, {"n": 256})
+    pair = lambert_and_peak(0.2, 1.0), lambert_and_peak(0.3, 0.5)
+    errors = {METRICS[name].error(*pair, domain, **options).value for domain in (HEMISPHERE, FORTY_FIVE)}
+    assert len(errors) == (2 if name in METRICS_OF_DOMAINS else 1)
 
 
 def test_a_brdf_scaled_by_1_05_has_a_glare_error_of_5_percent():

@@ -1,5 +1,6 @@
 """The cheapest model that a scene allows."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -10,11 +11,14 @@ from tried_models import FACETS, ORIGIN, SLOPES, at, error, known
 from brdfpipe import vocabulary
 from brdfpipe.facets.analytic_distributions import analytic
 from brdfpipe.optics.index import refractive_index
+from brdfpipe.scenes import experience
 from brdfpipe.scenes.experience import NONE, Experience
 from brdfpipe.scenes.features import features
 from brdfpipe.scenes.ladders import FULLEST, Candidate
 from brdfpipe.scenes.model_inputs import ModelInputs
 from brdfpipe.scenes.planning import ToleranceError, chosen, judge, plan, plan_dataset
+from brdfpipe.scenes.scene import load_scene, shipped_scenes
+from brdfpipe.scenes.scene_keys import METRIC_UNITS
 
 CANDIDATES = (FACETS, FULLEST)
 
@@ -50,14 +54,49 @@ def test_a_plan_is_a_dataset_of_all_candidates_and_the_choice():
     assert plan["rung_optics"].values.tolist() == ["wave", "facets", "auto"]
 
 
-@pytest.mark.parametrize(("missed", "refused"), [(5.0, True), (0.0, False)])
-def test_a_tolerance_that_the_fullest_model_misses_is_refused_with_what_is_achievable(missed, refused):
-    inputs = ModelInputs(refractive_index(1.5), samples.spectrum(0.3), analytic("beckmann", a=0.2))
-    materials = tuple(replace(one, features=features(inputs), model_error=missed) for one in known(*SLOPES).materials)
-    tried = Experience("gloss", "digest", materials).fitted()
-    scene = {"scene": "mine", "metric": "gloss", "unit": "GU", "tolerance": 1.0, "errors_of": "digest"}
-    if refused:
-        with pytest.raises(ToleranceError, match=r"an error of about (4\.9|5|5\.1) GU with the fullest model"):
-            plan(inputs, tried, **scene)
-    else:
-        assert plan(inputs, tried, **scene)["chosen"].values.sum() == 1
+INPUTS = ModelInputs(refractive_index(1.5), samples.spectrum(0.3), analytic("beckmann", a=0.2))
+
+
+def planned(metric: str, missed: float | None, tolerance: float):
+    """A plan by materials like :data:`INPUTS`, of which the fullest model missed an error, for a scene of a metric."""
+    materials = tuple(replace(one, features=features(INPUTS), model_error=missed) for one in known(*SLOPES).materials)
+    tried = Experience(metric, "digest", materials, least_error=0.01).fitted()
+    return plan(
+        INPUTS, tried, scene="mine", metric=metric, unit=METRIC_UNITS[metric], tolerance=tolerance, errors_of="digest"
+    )
+
+
+@pytest.mark.parametrize("metric", METRIC_UNITS)
+def test_a_tolerance_that_the_fullest_model_misses_is_refused_with_what_is_achievable(metric):
+    unit = METRIC_UNITS[metric]
+    with pytest.raises(ToleranceError) as refusal:
+        planned(metric, 5.0, 1.0)
+    assert f"scene 'mine': the metric '{metric}' cannot achieve `tolerance`: found 1 {unit}" in str(refusal.value)
+    assert re.search(
+        rf"the best achievable is about (4\.9|5|5\.1) {unit}: .* with the fullest model", str(refusal.value)
+    )
+    assert planned(metric, 0.0, 1.0)["chosen"].values.sum() == 1
+    assert planned(metric, None, 1.0)["chosen"].values.sum() == 1
+
+
+@pytest.mark.parametrize("metric", METRIC_UNITS)
+def test_a_tolerance_below_all_errors_that_were_told_apart_is_refused_with_the_least_of_them(metric):
+    with pytest.raises(ToleranceError, match=f"found 0.009 {METRIC_UNITS[metric]}.* about 0.01 .* not told apart"):
+        planned(metric, None, 0.009)
+    assert planned(metric, None, 0.01)["chosen"].values.sum() == 1
+
+
+@pytest.mark.parametrize("name", [scene.name for scene in map(load_scene, shipped_scenes()) if scene.plans])
+def test_the_shipped_experience_refuses_an_impossible_tolerance_and_accepts_that_of_the_scene(name):
+    scene = load_scene(name)
+    assert scene.experience_file is not None
+    tried = experience.read(scene.experience_file)
+    with pytest.raises(ToleranceError, match=f"scene '{name}': .* the best achievable is about"):
+        plan(INPUTS, tried, **{**scene.accepted_error, "tolerance": 1e-3 * scene.content["tolerance"]})
+    assert plan(INPUTS, tried, **scene.accepted_error)["chosen"].values.sum() == 1
+
+
+def test_errors_of_another_scene_are_not_used():
+    tried = replace(known(*SLOPES), scene="another")
+    given = {"scene": "mine", "metric": "gloss", "unit": "GU", "tolerance": 1e-6, "errors_of": "digest"}
+    assert plan(INPUTS, tried, **given).attrs["choice"] == "fullest"

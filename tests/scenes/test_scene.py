@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+import yaml
 
 from brdfpipe.appearance import computation
 from brdfpipe.appearance.cabin import Cabin, cabin_of
@@ -71,6 +72,54 @@ def test_the_scene_of_the_documentation_is_accepted(tmp_path: Path) -> None:
     assert scene.parts == ("gloss", "colour")
     assert geometries.gloss_angles(scene.domain, [20, 60, 85]) == [60]
     assert geometries.colour_geometries(scene.domain, ["45:0"]) == ["45:0"]
+
+
+def test_a_scene_of_its_own_uses_the_errors_of_a_shipped_one_with_the_same_metric_and_domain(tmp_path: Path) -> None:
+    shipped = load_scene("multiangle-qc")
+    text = shipped_scenes()["multiangle-qc"].read_text(encoding="utf-8")
+    changes = {"tolerance: 0.5": "tolerance: 2", "results: [colour]": "results: [colour, preview]"}
+    for old, new in changes.items():
+        assert old in text
+        text = text.replace(old, new)
+    same = load_scene(written(tmp_path, "mine", text))
+    assert same.plans
+    assert same.experience_file == shipped.experience_file
+    turned = yaml.safe_load(text)
+    turned["domain"]["geometries"].reverse()
+    assert load_scene(written(tmp_path, "turned", yaml.safe_dump(turned))).experience_file == shipped.experience_file
+    turned["domain"]["geometries"].pop()
+    fewer = load_scene(written(tmp_path, "fewer", yaml.safe_dump(turned)))
+    assert fewer.experience_file is None
+    assert not fewer.plans
+    assert not load_scene(written(tmp_path, "fullest", f"{text}model: fullest\n")).plans
+
+
+def test_gloss_and_pictures_have_the_same_errors_in_every_domain(tmp_path: Path) -> None:
+    for metric, shipped in (("gloss", "gloss-sheet"), ("rendering", "render-preview")):
+        bands = "bands: rgb\n" if metric == "rendering" else ""
+        mine = load_scene(written(tmp_path, metric, MINIMAL.replace("metric: colour", f"metric: {metric}") + bands))
+        assert mine.experience_file == load_scene(shipped).experience_file
+        other = load_scene(
+            written(tmp_path, metric, MINIMAL.replace("metric: colour", f"metric: {metric}\nbands: [555]"))
+        )
+        assert other.experience_file is None
+    assert load_scene(written(tmp_path, "colour")).experience_file is None
+
+
+def test_a_file_that_is_not_of_measured_errors_is_none_of_a_scene(tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.setattr(scene.installation, "project_folder", lambda: tmp_path)
+    content = {"metric": "gloss", "bands": "photopic", "polarisation": "unpolarised", "domain": {}}
+    mine, file = Scene("mine", content), scene.measured_errors_file("mine")
+    file.parent.mkdir(parents=True)
+    for text in ("", "no JSON", "[]", '{"scene": "another", "parameters": {\n'):
+        file.write_text(text)
+        assert mine.experience_file is None
+        file.unlink()
+    other = file.with_name("shipped.json")
+    other.write_text(f'{{"scene": "{mine.errors_of}", "parameters": {{\n')
+    assert mine.experience_file == other
+    file.write_text(other.read_text())
+    assert mine.experience_file == file, "its own comes first"
 
 
 def test_an_edited_file_is_read_again(tmp_path: Path) -> None:
@@ -201,7 +250,7 @@ def stages_of(subject: Subject) -> set[str]:
 def test_a_stage_runs_only_where_its_result_is_asked_for(
     subjects: dict[str, Subject], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    monkeypatch.setattr(scene, "experience_file", lambda name: tmp_path / name)
+    monkeypatch.setattr(scene, "measured_errors_file", lambda name: tmp_path / f"{name}.json")
     shared = {"surface", "facets", "psd", "visibility", "spectrum", "index", "interreflection", "predicted", "wave"}
     nominal = {*shared, "nominal_bsdf", "summary"}
     everything = stages_of(subjects["metrology-full"])
@@ -219,11 +268,7 @@ def test_a_stage_runs_only_where_its_result_is_asked_for(
     assert not any(load_scene(name).plans for name in accepting)
 
 
-def test_a_model_is_planned_where_errors_were_measured_for_the_scene(
-    subjects: dict[str, Subject], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    (tmp_path / "tried").touch()
-    monkeypatch.setattr(scene, "experience_file", lambda name: tmp_path / "tried")
+def test_a_model_is_planned_where_errors_were_measured_for_the_scene(subjects: dict[str, Subject]) -> None:
     planned = {"surface", "facets", "psd", "spectrum", "index", "plan", "planned", "summary"}
     assert stages_of(subjects["gloss-sheet"]) == {*planned, "appearance"}
     for name in ("catalogue", "metrology-full"):

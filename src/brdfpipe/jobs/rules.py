@@ -15,7 +15,7 @@ from brdfpipe.catalogue.names import CALIBRATIONS, CatalogueError
 from brdfpipe.jobs import code, pool
 from brdfpipe.jobs.runs import planned_runs, results_folder
 from brdfpipe.jobs.stage import Job
-from brdfpipe.scenes.scene import DEFAULT, FOLDER, Scene, experience_file
+from brdfpipe.scenes.scene import DEFAULT, FOLDER, Scene
 from brdfpipe.stages import STAGES, Stage, Subject, source_of_bsdf
 from brdfpipe.store import canonical_json
 
@@ -88,8 +88,8 @@ class Pipeline:
 
     def experience(self, wildcards: Any) -> Any:
         """The errors that were measured for the scene of a material on other materials, if there are any."""
-        file = experience_file(self.catalogue[wildcards.material].scene.name)
-        return str(file) if file.is_file() else []
+        file = self.catalogue[wildcards.material].scene.experience_file
+        return [] if file is None else str(file)
 
     def of_materials(self, stage: str) -> InputFunction:
         """The result of a stage, of all materials of a scene that have it."""

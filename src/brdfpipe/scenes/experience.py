@@ -63,7 +63,7 @@ class Experience:
 
     metric: str
     scene: str
-    """Digest of what of the scene changes errors: domain, bands and polarisation"""
+    """Digest of what of a scene decides errors (:attr:`brdfpipe.scenes.scene.Scene.errors_of`)"""
     materials: tuple[Known, ...] = ()
     least_error: float = 1e-6
     """Errors below it count as it, in the unit of the metric"""

@@ -67,6 +67,31 @@ def chosen(judged: Sequence[Judged], tolerance: float) -> Judged:
     return min(allowed, key=lambda one: one.cost, default=fullest)
 
 
+class Achievable(NamedTuple):
+    """The best that can be achieved for a material."""
+
+    error: float
+    """In the unit of the metric"""
+    reason: str
+
+
+def achievable(features: Mapping[str, float], experience: Experience, tolerance: float) -> Achievable | None:
+    """The best error for a material, where it is certain that no model has one within the tolerance; else None.
+
+    Either the fullest model itself misses the tolerance with 99 % certainty, by what it missed on other materials, or errors as small
+    were not told apart when they were measured.
+    """
+    if experience.model_error is not None:
+        of_model = experience.model_error.at(in_spreads(features).tolist())
+        if of_model.bound(-CERTAINTY) > tolerance:
+            return Achievable(of_model.bound(0.0), "materials like this one have that error with the fullest model")
+    if experience.materials and tolerance < experience.least_error:
+        return Achievable(
+            experience.least_error, "smaller errors were not told apart when those of models were measured"
+        )
+    return None
+
+
 def plan(
     inputs: ModelInputs, experience: Experience, *, scene: str, metric: str, unit: str, tolerance: float, errors_of: str
 ) -> xr.Dataset:
@@ -85,18 +110,18 @@ def plan(
 
     Raises
     ------
-    ToleranceError : the fullest model misses the tolerance with 99 % certainty, by what it missed on other materials.
+    ToleranceError : a tolerance that cannot be achieved, with the best that can (:func:`achievable`).
     """
-    usable = experience if (experience.metric, experience.scene) == (metric, errors_of) else NONE
+    usable = experience if experience.scene == errors_of else NONE
     found = features(inputs)
+    best = achievable(found, usable, tolerance)
+    if best is not None:
+        raise ToleranceError(
+            f"scene {scene!r}: the metric {metric!r} cannot achieve `tolerance`: found {tolerance:g} {unit}; the best achievable is about "
+            f"{best.error:.2g} {unit}: {best.reason}; raise `tolerance` to that, or set `model: fullest`"
+        )
     judged = judge(inputs.structures, found, usable)
     choice = chosen(judged, tolerance)
-    of_model = None if usable.model_error is None else usable.model_error.at(in_spreads(found).tolist())
-    if of_model is not None and of_model.bound(-CERTAINTY) > tolerance:
-        raise ToleranceError(
-            f"scene {scene!r}: the tolerance {tolerance:g} {unit} of the metric {metric!r} is not achievable: materials like this one "
-            f"have an error of about {of_model.bound(0.0):.2g} {unit} with the fullest model; raise `tolerance` to that, or set `model: fullest`"
-        )
     result = plan_dataset(judged, choice, found, scene=scene, metric=metric, unit=unit, tolerance=tolerance)
     return vocabulary.add_history(
         result, f"{choice.candidate} was chosen: {_reason(choice, judged, usable, tolerance, unit)}"

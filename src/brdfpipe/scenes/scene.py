@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -16,7 +17,7 @@ from brdfpipe.descriptions.keys import NAME, NAME_WORDS
 from brdfpipe.errors import BrdfpipeError
 from brdfpipe.scenes.domain import Domain
 from brdfpipe.scenes.results import PARTS
-from brdfpipe.scenes.scene_keys import AS_MATERIAL, CHEAPEST, METRIC_UNITS, SceneKeys
+from brdfpipe.scenes.scene_keys import AS_MATERIAL, CHEAPEST, METRIC_UNITS, METRICS_OF_DOMAINS, SceneKeys
 from brdfpipe.store import canonical_json
 
 DEFAULT = "catalogue"
@@ -70,11 +71,19 @@ class Scene:
     @property
     def plans(self) -> bool:
         """Whether the cheapest model is taken: the scene accepts it, and errors were measured for the scene."""
-        return self.accepts_cheapest and experience_file(self.name).is_file()
+        return self.accepts_cheapest and self.experience_file is not None
+
+    @property
+    def experience_file(self) -> Path | None:
+        """The file of the errors that were measured for this scene, or for one with the same :attr:`errors_of`; None without one."""
+        own = measured_errors_file(self.name)
+        files = [own, *sorted(set(own.parent.glob("*.json")) - {own})]
+        measured = (file for file in files if file.is_file())
+        return next((file for file in measured if _measured_for(file, file.stat().st_mtime_ns) == self.errors_of), None)
 
     @property
     def accepted_error(self) -> dict[str, Any]:
-        """Metric, unit, tolerance and the digest of what else of the scene decides how large an error is."""
+        """Metric, unit, tolerance and the digest of what of the scene decides how large an error is."""
         metric = self.content["metric"]
         given = {
             "scene": self.name,
@@ -86,8 +95,14 @@ class Scene:
 
     @property
     def errors_of(self) -> str:
-        """Digest of what of the scene decides how large the error of a model is."""
-        decisive = {name: self.content[name] for name in ("metric", "domain", "bands", "polarisation")}
+        """Digest of what of the scene decides how large the error of a model is; the domain is part of it where the metric depends on it."""
+        metric, domain = self.content["metric"], self.content["domain"]
+        decisive = {name: self.content[name] for name in ("metric", "bands", "polarisation")}
+        if metric in METRICS_OF_DOMAINS:
+            decisive["domain"] = {
+                name: sorted(part, key=canonical_json) if isinstance(part, list) else part
+                for name, part in domain.items()
+            }
         return hashlib.sha256(canonical_json(decisive).encode()).hexdigest()[:16]
 
     def exports(self, of_material: Sequence[str]) -> tuple[str, ...]:
@@ -96,9 +111,19 @@ class Scene:
         return tuple(of_material if formats == AS_MATERIAL else formats)
 
 
-def experience_file(name: str) -> Path:
-    """The file of the errors that were measured for a scene; it may not exist."""
+def measured_errors_file(name: str) -> Path:
+    """The file to which the errors that are measured for a shipped scene are written; it may not exist."""
     return installation.project_folder() / "config" / "scenes" / "experience" / f"{name}.json"
+
+
+@lru_cache(maxsize=64)
+def _measured_for(path: Path, time: int) -> str | None:
+    """The digest of the scenes for which errors were measured, from the first line of their file; None of another file."""
+    try:
+        with path.open(encoding="utf-8") as file:
+            return str(json.loads(file.readline() + "}}")["scene"])
+    except (ValueError, KeyError, TypeError):
+        return None
 
 
 def shipped_scenes() -> dict[str, Path]:

@@ -19,6 +19,9 @@ POLARISATIONS = ("unpolarised", "mueller")
 METRIC_UNITS = {"glare": "relative", "colour": "ΔE00", "gloss": "GU", "rendering": "ΔE_ITP"}
 """Unit in words by metric, of those of :data:`brdfpipe.scenes.metrics.METRICS`, which is slow to import."""
 
+METRICS_OF_DOMAINS = ("glare", "colour")
+"""Metrics that compare BRDFs in the domain of the scene. The standard fixes the directions of gloss, and pictures have those of the preview."""
+
 CHEAPEST = "cheapest"
 MODELS = (CHEAPEST, "fullest")
 
