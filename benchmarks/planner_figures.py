@@ -16,7 +16,7 @@ from brdfpipe.errors import BrdfpipeError
 from brdfpipe.scenes.error_regression import Prediction, Regression
 from brdfpipe.scenes.experience import CERTAINTY, Experience, Known, candidate_of
 from brdfpipe.scenes.ladders import FULLEST, Candidate
-from brdfpipe.scenes.planning import Achievable, Judged, achievable, chosen, judge, judgement
+from brdfpipe.scenes.planning import Judged, achievable, chosen, judge, judgement
 from brdfpipe.scenes.scene import Scene
 
 Row = Mapping[str, Any]
@@ -126,20 +126,18 @@ def of_new_materials(scene: Scene, experience: Experience, reading: float, rows:
 
     Parameters
     ----------
-    reading : processor time of reading the experience [s]
+    experience : just read: the first material is charged with solving the regressions, which the others then find solved
+    reading : processor time of reading the experience [s], which the first material is charged with
     rows : of the materials; those without the scene are left out
     """
     found = []
     for row in _of_scene(scene, rows):
-        keys = [candidate_of(key) for key in row["candidates"]]
-
-        def plan(row: Row = row, keys: Sequence[Candidate] = keys) -> tuple[list[Judged], Achievable | None]:
-            fresh = replace(experience)  # without what the materials before have left computed
-            best = achievable(row["features"], fresh, scene.content["tolerance"])
-            return judge(keys, row["features"], fresh), best
-
-        (judged, best), choosing = shortest(plan)
-        planning = row["features_cost"] + reading + choosing
+        start = time.process_time()
+        judged = judge([candidate_of(key) for key in row["candidates"]], row["features"], experience)
+        best = achievable(row["features"], experience, scene.content["tolerance"])
+        planning = row["features_cost"] + time.process_time() - start
+        if not found:
+            planning += reading
         found.append(outcome(row, scene, judged, planning, refused=best is not None))
     return found
 

@@ -13,6 +13,7 @@ import os
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import json
+import time
 from collections.abc import Mapping, Sequence
 from functools import partial
 from multiprocessing import get_context
@@ -235,7 +236,9 @@ def write_new_materials(rows: list[dict[str, Any]]) -> None:
     found = {}
     for scene in planned_scenes():
         if scene.experience_file is not None:
-            outcomes = of_new_materials(scene, *shortest(partial(experience.read, scene.experience_file)), rows)
+            start = time.process_time()
+            known = experience.read(scene.experience_file)
+            outcomes = of_new_materials(scene, known, time.process_time() - start, rows)
             found[scene.name] = SceneOutcomes(scene.content["tolerance"], outcomes)
     renewed(NEW_MATERIALS, found)
 

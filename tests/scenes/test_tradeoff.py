@@ -122,8 +122,10 @@ def test_new_materials_are_planned_by_the_experience_as_it_is():
     assert [one.choice for one in found] == [FACETS.key, FACETS.key, FULLEST.key]
     assert [one.error for one in found[:2]] == [error(slope) for slope in slopes[:2]]
     assert [one.cheapest for one in found] == [0.5, 0.5, 3.0]
-    assert all(one.planning is not None and one.planning > 0.75 for one in found), "features, experience and choice"
-    total = sum(one.planning or 0 for one in found)
+    times = [one.planning or 0.0 for one in found]
+    assert times[0] > 0.75, "features, and the reading once"
+    assert all(seconds > 0.25 for seconds in times[1:])
+    total = sum(times)
     assert figures(found, TOLERANCE).planning == pytest.approx(total / 5.0)
 
 
