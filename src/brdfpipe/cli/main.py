@@ -120,6 +120,46 @@ def diff(old: Path, new: Path, as_json: bool) -> int:
 
 
 @main.command()
+@click.argument("catalogue", type=FOLDER)
+@click.option("--metadata", type=FILE, required=True, help="release.yaml: title, creators, publisher, date, license.")
+@click.option("--results", type=FOLDER, default=Path("results"), show_default=True, help="Folder of the results.")
+@click.option("--config", type=FILE, default=None, help="The configuration of the build.")
+@click.option("--output", type=click.Path(path_type=Path), default=Path("release.zip"), show_default=True)
+@exit_on_error
+def release(catalogue: Path, metadata: Path, results: Path, config: Path | None, output: Path) -> int:
+    """Archive CATALOGUE, its results, configuration and library versions with metadata (RO-Crate) in one zip file."""
+    from brdfpipe.catalogue.catalogue import load
+    from brdfpipe.catalogue.configuration import load_config
+    from brdfpipe.descriptions import reading
+    from brdfpipe.releases.archive import write_archive
+    from brdfpipe.releases.release_keys import Release
+
+    stated = reading.read(metadata, Release)
+    parts = write_archive(load(catalogue, load_config(config)), results, stated, config, output)
+    click.echo(
+        f"{output}: {len(parts)} files, {output.stat().st_size / 1e6:.1f} MB; `brdfpipe verify {output}` checks it"
+    )
+    return 0
+
+
+@main.command()
+@click.argument("archive", type=FILE)
+@exit_on_error
+def verify(archive: Path) -> int:
+    """Compute the digests of all files of ARCHIVE again, which `brdfpipe release` wrote.
+
+    Exit code: 1 if a file is damaged, missing or unknown.
+    """
+    from brdfpipe.releases.verification import verify_archive
+
+    problems = verify_archive(archive)
+    for problem in problems:
+        click.echo(problem)
+    click.echo(f"{archive}: {len(problems)} problems" if problems else f"{archive}: every file is as it was written")
+    return 1 if problems else 0
+
+
+@main.command()
 @exit_on_error
 def scenes() -> int:
     """List the shipped scenes, their purposes and what they ask for."""

@@ -1,0 +1,81 @@
+"""Whether the files of a release are those that were written: sizes and digests of all of them are computed again."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import zipfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+from urllib.parse import unquote
+
+from brdfpipe.errors import BrdfpipeError
+from brdfpipe.releases.metadata import METADATA
+from brdfpipe.surfaces.archives import DAMAGE
+
+_README = "README.txt"
+_MOST_METADATA = 2**28
+"""Bytes of metadata that are read: some 100 000 files."""
+
+
+def verify_archive(path: Path) -> list[str]:
+    """Problems of a release, one line for each file that is damaged, missing or unknown; none if it is whole.
+
+    Raises
+    ------
+    BrdfpipeError : the file is no release: no zip archive, or without metadata.
+    """
+    from tqdm import tqdm
+
+    try:
+        with zipfile.ZipFile(path) as archive:
+            listed = _listed(archive, path)
+            names = [name for name in archive.namelist() if not name.endswith("/")]
+            present = tqdm(sorted(names), unit="file", delay=2.0, disable=None, leave=False)
+            problems = [problem for name in present for problem in _problems(archive, name, listed)]
+            problems += [f"{name}: appears twice" for name in sorted(set(names)) if names.count(name) > 1]
+    except zipfile.BadZipFile as error:
+        raise BrdfpipeError(f"{path.name}: no zip archive, or damaged ({error}); get the file again") from error
+    problems += [f"{name}: is missing" for name in sorted(listed.keys() - set(names))]
+    return problems
+
+
+def _listed(archive: zipfile.ZipFile, path: Path) -> dict[str, Any]:
+    """The files of the metadata by name."""
+    try:
+        if archive.getinfo(METADATA).file_size > _MOST_METADATA:
+            raise BrdfpipeError(
+                f"{path.name}: {METADATA} is larger than {_MOST_METADATA >> 20} MiB; get the file again"
+            )
+        graph = json.loads(archive.read(METADATA))["@graph"]
+        return {unquote(entity["@id"]): entity for entity in graph if entity["@type"] == "File"}
+    except (*DAMAGE, TypeError) as error:
+        if isinstance(error, BrdfpipeError):
+            raise
+        raise BrdfpipeError(
+            f"{path.name}: no release ({METADATA} is missing or damaged); `brdfpipe release` writes one"
+        ) from error
+
+
+def _problems(archive: zipfile.ZipFile, name: str, listed: dict[str, Any]) -> Iterator[str]:
+    if name in (METADATA, _README):
+        return
+    if name not in listed:
+        yield f"{name}: is not in the metadata"
+        return
+    stated = int(listed[name]["contentSize"])
+    digest = hashlib.sha256()
+    size = 0
+    try:
+        with archive.open(name) as file:
+            while size <= stated and (block := file.read(2**20)):  # a bomb is read to its stated size alone
+                size += len(block)
+                digest.update(block)
+    except DAMAGE as error:
+        yield f"{name}: is damaged ({error})"
+        return
+    if size != stated:
+        yield f"{name}: has {'more' if size > stated else 'less'} than the {stated} bytes of the metadata"
+    elif digest.hexdigest() != listed[name]["sha256"]:
+        yield f"{name}: the content does not match its sha256"
