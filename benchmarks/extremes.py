@@ -508,6 +508,11 @@ def _rig() -> Iterator[Case]:
     )
     yield Case(
         "fit to cells",
+        "functions finer than the cells",
+        lambda: warned(lambda: smoothing.smooth(data(), "keldysh", scales=8), "determine only"),
+    )
+    yield Case(
+        "fit to cells",
         "strength 1e30: a constant",
         lambda: warned(lambda: smoothing.smooth(data(), strength=1e30), "Poor fit"),
     )

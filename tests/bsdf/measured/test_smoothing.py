@@ -71,6 +71,18 @@ def test_three_scales_are_too_few_for_a_narrow_lobe_even_when_repaired():
     assert error_of("peak 300 sr-1, 1.5 degree", "keldysh", scales=3)[0] > 20
 
 
+def test_functions_that_fit_between_the_cells_are_named_in_a_warning():
+    name, incidences = "peak 300 sr-1, 1.5 degree", [0.0, 20.0, 60.0]
+    primary = rig_primary.measured(rig_primary.lobe(name), incidences, wavelengths=WAVELENGTHS)
+    for scales in (3, None):
+        assert "determine only" not in smoothing.smooth(primary, "keldysh", scales=scales).attrs.get("warnings", "")
+    assert "determine only" not in smoothing.smooth(primary).attrs.get("warnings", "")
+    warnings = json.loads(smoothing.smooth(primary, "keldysh", scales=8).attrs["warnings"])
+    for incidence, warning in zip(incidences, [text for text in warnings if "determine only" in text], strict=True):
+        assert warning.startswith(f"The cells at {incidence:g}° determine only ")
+        assert "Give fewer `scales`" in warning
+
+
 @pytest.mark.cases(1)
 @pytest.mark.parametrize("name", WANTED)
 def test_errors_agree_with_the_stated_uncertainty(name):

@@ -98,7 +98,7 @@ def smooth(
     symmetric : whether the BSDF is even about the plane of incidence
     about : coordinates of the mode ``pspline``, see :mod:`brdfpipe.bsdf.measured.coordinates`; by default, for reflection, those that predict the
         cells better. The modes of the preprint, and transmission, use ``mirror``
-    scales : of the mode ``keldysh``; by default as many as lead to supports of 3°
+    scales : of the mode ``keldysh``; by default as many as lead to supports of 3°. A warning says where the cells do not determine so many
 
     Returns
     -------
@@ -130,6 +130,8 @@ def smooth(
     attrs = {name: primary.attrs[name] for name in ("history", "warnings") if name in primary.attrs}
     attrs |= {"mode": mode, "link": link, "about": about, "basis": bases.to_json(basis), "side": side}
     smoothed = _with_notes(_dataset(primary, fits).assign_attrs(attrs), fits, strength)
+    if mode == "keldysh":
+        smoothed = vocabulary.add_warning(smoothed, *_undetermined(primary["incidence"].values, forms, cells))
     return vocabulary.validate(smoothed, "smoothed")
 
 
@@ -436,6 +438,20 @@ def _curves(fits: list[_Fit]) -> dict[str, tuple[tuple[str, str], Array]]:
                 row[:] = criterion(fit.solution.problems, fit.solution.strengths).mean(axis=0)
         curves[name] = (("incidence", "trial"), np.where(np.isfinite(means), means, np.nan))
     return curves
+
+
+def _undetermined(incidences: Array, forms: list[StandardForm], cells: list[_CellValues]) -> list[str]:
+    """Warnings of incidences at which the cells do not determine all functions, because the finest of these fit between them."""
+    warnings = []
+    for incidence, form, values in zip(incidences, forms, cells, strict=True):
+        used = np.isfinite(values.u).any(axis=0)
+        functions, known = int((form.to_basis != 0).any(axis=1).sum()), int(np.linalg.matrix_rank(form.rows[used]))
+        if used.any() and known < functions:
+            warnings.append(
+                f"The cells at {incidence:g}° determine only {known} of {functions} functions: between cells the fit may be off by many times its "
+                "uncertainty. Give fewer `scales`, or use `pspline`."
+            )
+    return warnings
 
 
 def _with_notes(smoothed: xr.Dataset, fits: list[_Fit], strength: float | None) -> xr.Dataset:
