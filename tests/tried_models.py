@@ -22,7 +22,7 @@ def error(slope: float) -> float:
 
 def known(*slopes: float) -> Experience:
     materials = tuple(
-        Known(f"m{k}", at(slope), {FACETS: Trial(error(slope), 0.5), FULLEST: Trial(0.0, 3.0)})
+        Known(f"m {k}", at(slope), {FACETS: Trial(error(slope), 0.5), FULLEST: Trial(0.0, 3.0)})
         for k, slope in enumerate(slopes)
     )
     return Experience("gloss", "digest", materials).fitted()

@@ -109,6 +109,10 @@ def test_a_model_is_planned_unless_the_material_has_keys_of_the_model(
     assert {"second/predicted.nc", "second/nominal_bsdf.nc"} <= files(results)
     assert not {"first/predicted.nc", "first/wave.nc", "first/nominal_bsdf.nc"} & files(results)
     assert build(folder, results, "gloss-sheet").jobs == 0
+    mine = results.parent / "mine.yaml"
+    mine.write_text(SCENE.replace("[checks]", "[gloss]").replace("metric: rendering", "metric: gloss"))
+    build(folder, results, str(mine))
+    assert (results / "scenes" / "mine" / "first" / "plan.nc").exists(), "a scene of one's own has the same errors"
     experience.write_text(f"{head}other errors")
     assert build(folder, results, "gloss-sheet").jobs > 0
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import planner_figures
 import planner_record
 import pytest
 from planner_figures import (
@@ -127,6 +128,15 @@ def test_new_materials_are_planned_by_the_experience_as_it_is():
     assert all(seconds > 0.25 for seconds in times[1:])
     total = sum(times)
     assert figures(found, TOLERANCE).planning == pytest.approx(total / 5.0)
+
+
+def test_materials_that_set_the_width_of_a_scene_are_not_new_for_it(monkeypatch):
+    tried, new = known(*SLOPES), rows(known(-1.0, 0.0))
+    for seed, row in enumerate(new, start=20_000):
+        row["name"] = f"normal {seed}"
+    monkeypatch.setattr(planner_figures, "WIDENED", {SCENE.name: (DEVIATIONS[1], range(20_001))})
+    assert [one.material for one in of_new_materials(SCENE, tried, 0.0, new)] == ["normal 20001"]
+    assert calibrated(SCENE, tried, rows(tried))[0].deviations == DEVIATIONS[1]
 
 
 def test_a_refused_tolerance_and_a_choice_that_cannot_be_built_do_not_count_as_held():
