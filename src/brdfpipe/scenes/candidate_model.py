@@ -95,6 +95,7 @@ def build(candidate: Candidate, inputs: ModelInputs) -> xr.Dataset:
         predicted=bsdf,
         visibility=visibility,
         optics="auto",
+        states_cut_error=False,
     )
 
 

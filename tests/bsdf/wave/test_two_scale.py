@@ -213,6 +213,11 @@ def test_the_stated_error_of_the_cut_covers_what_a_moved_cut_changes():
     assert np.abs(values[1] / values[0] - 1).max() < 1.5 * float(bsdf["cut_error"])
 
 
+def test_a_bsdf_without_the_error_of_its_cut_is_otherwise_the_same():
+    stated, bare = (rough(0.4, 10.0, "composite", states_cut_error=states) for states in (True, False))
+    xr.testing.assert_identical(stated.drop_vars("cut_error"), bare)
+
+
 def test_the_lobe_of_two_scales_does_not_depend_on_the_cut():
     # 0.4 um over 20 um carries 20 nm over 1 um: as two Gaussian surfaces, between whose frequencies any cut parts the same.
     theta = np.full(40, 30.0)

@@ -129,6 +129,7 @@ def build(
     visibility: xr.Dataset | None = None,
     optics: str = "wave",
     cut: float | None = None,
+    states_cut_error: bool = True,
 ) -> xr.Dataset:
     """BSDF of a surface by wave optics, by facets with finer roughness, or by both in turn.
 
@@ -148,6 +149,8 @@ def build(
         facets with the phase variance and the slope, with finer roughness upon them where it is measured and matters
     cut : frequency that parts facets from finer roughness [um-1]; by default that above which the roughness has a phase variance of
         :data:`FINE_PHASE`, at most half an inverse wavelength
+    states_cut_error : add ``cut_error``, how much the lobe depends on the cut: three more tables of the finer roughness, which no value of
+        the BSDF needs
 
     Returns
     -------
@@ -202,9 +205,10 @@ def build(
             facet_sigma=relief.sigma, resolved_slope=relief.slope, passage_phase=relief.passage
         )
         if relief.uses_fine:
-            middle = float(given[np.abs(given - 1e3 * _MIDDLE).argmin()])
             bsdf = _with_finer_roughness(bsdf, relief, facets)
-            bsdf = bsdf.assign(cut_error=_cut_error(correlation, sigma, psd, relief, facets, middle))
+            if states_cut_error:
+                middle = float(given[np.abs(given - 1e3 * _MIDDLE).argmin()])
+                bsdf = bsdf.assign(cut_error=_cut_error(correlation, sigma, psd, relief, facets, middle))
     bsdf = bsdf.assign(n=("wavelength", n), k=("wavelength", k), sigma=sigma)
     attributes = {
         "optics": optics,
