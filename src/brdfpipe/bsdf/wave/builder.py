@@ -531,7 +531,8 @@ def _with_closure(surface: RoughSurface, bsdf: xr.Dataset, theta: Array, psd: xr
     arcs = closure_arcs(_CLOSURE_ARCS if lay else 1)
     azimuths = arc_to_azimuth(ellipse_of(bsdf), arcs) if lay else np.zeros(1)
     few, directions = _few(wavelength, azimuths), _directions(bsdf, azimuths)
-    surface = surface.prepared_for(_count(directions, theta) * few.size)
+    # The reflectance is integrated at the same directions after this.
+    surface = surface.prepared_for(2 * _count(directions, theta) * few.size)
     first_order = np.zeros((theta.size, arcs.size, few.size))
     kernel = np.zeros((few.size, *first_order.shape[:2], first_order[..., 0].size))
     for row, angle in enumerate(theta[theta < 90]):
@@ -654,7 +655,8 @@ def _scattered(surface: RoughSurface, bsdf: xr.Dataset, theta: Array, azimuths: 
     """∫ f cos θ_o dω_o without coherent and diffuse light, (incidences, azimuths, wavelength)."""
     n, k, wavelength = (bsdf[name].values for name in ("n", "k", "wavelength"))
     few, directions = _few(wavelength, azimuths), _directions(bsdf, azimuths)
-    surface = surface.prepared_for(_count(directions, theta) * few.size)
+    calls = 1 if surface.closure is None else 2
+    surface = surface.prepared_for(calls * _count(directions, theta) * few.size)
     result = np.zeros((theta.size, azimuths.size, few.size))
     for row, angle in enumerate(theta[theta < 90]):
         for number, (weight, angles) in enumerate(directions(float(angle))):
