@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import mpmath
 import numpy as np
 import pytest
+from scipy.interpolate import CubicSpline
 
 from brdfpipe.bsdf.wave import height_transform
 from brdfpipe.bsdf.wave.height_transform import gaussian, k_correlation
@@ -96,3 +98,22 @@ def test_a_measured_spectrum_has_no_heights_below_its_band():
     in_band = np.sqrt(2 * np.pi * 1e-3 * 0.03**2 / 2.6)
     assert sigma == pytest.approx(in_band, rel=0.06)
     assert found.spectrum(np.array([0.02]))[0] < 1e-3 * found.spectrum(np.array([0.03]))[0]
+
+
+def test_orders_above_the_first_are_those_of_the_exponential():
+    g, rho = np.array([[1e-6], [1e-3], [0.5], [40.0]]), np.array([1.0, 0.9, 1e-3, 2e-6, -2e-5, 1e-12, 0.0])
+    for columns in (slice(None), slice(0, 1), slice(5, 7)):
+        with mpmath.workdps(40):
+            exact = [
+                [mpmath.exp(-a) * (mpmath.expm1(a * b) - a * b) for b in map(mpmath.mpf, rho[columns])]
+                for a in map(mpmath.mpf, g[:, 0])
+            ]
+        found = height_transform._higher_orders(g, rho[columns])
+        np.testing.assert_allclose(found, np.array(exact, dtype=float), rtol=1e-9, atol=1e-300)
+
+
+def test_a_spline_through_the_nodes_about_some_places_is_that_through_all():
+    nodes, values = np.linspace(0, 10, 1001), np.random.default_rng(0).standard_normal((3, 1001))
+    for at in (np.array([0.0]), np.array([5.003]), np.linspace(4.0, 10.0, 77)):
+        expected = CubicSpline(nodes, values, axis=1)(at)
+        np.testing.assert_allclose(height_transform._interpolated(nodes, values, at), expected, atol=1e-13)

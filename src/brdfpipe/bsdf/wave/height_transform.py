@@ -45,6 +45,10 @@ _SPREAD_NOISE = 1e-9
 """The same upon a coarser relief, where no order is known without a transform."""
 _PHASES_AT_ONCE = 32
 """Phase variances that are transformed together, in about 20 MB."""
+_NEAR = 40
+"""Nodes of a cubic spline beyond which others do not matter: their part falls by a factor of 3.7 with each."""
+_SMALL = 1e-3
+"""Exponent gρ below which the exponential is a series."""
 _RADII, _DECADES = 8192, 20
 """Nodes of the logarithmic Hankel transform, and its decades about the correlation length."""
 
@@ -268,31 +272,54 @@ def _by_hankel_transform(
     )
     grid = wave_number / (2 * np.pi)
     rho = _autocorrelation(correlation, distance)
-    first_order = correlation.spectrum(grid)
     # Between the ends, where the periodic repetition of the transform does not reach.
-    inside = (grid > 1e-3 * frequency[1]) & (grid < 10 * frequency[-1])
+    inside = slice(
+        int(np.searchsorted(grid, 1e-3 * frequency[1], side="right")), int(np.searchsorted(grid, 10 * frequency[-1]))
+    )
+    first_order = correlation.spectrum(grid[inside])
     asked = np.log(np.maximum(frequency, 2e-3 * frequency[1]))
     values = np.empty((phase.size, frequency.size))
     for start in range(0, phase.size, _PHASES_AT_ONCE):
         rows = slice(start, start + _PHASES_AT_ONCE)
         g = phase[rows, None]
-        exponent = g * rho
-        higher = np.where(
-            exponent < 1e-3,
-            np.exp(-g) * exponent**2 * (0.5 + exponent / 6 + exponent**2 / 24),
-            np.exp(exponent - g) - np.exp(-g) * (1 + exponent),
-        )
+        higher = _higher_orders(g, rho)
         if coarse is not None:
-            higher = (higher + np.exp(-g) * exponent) * np.stack(
+            higher = (higher + np.exp(-g) * (g * rho)) * np.stack(
                 [coarse(distance, float(np.sqrt(one))) for one in phase[rows]]
             )
-        total = 2 * np.pi * fht(higher * distance, step, 0.0, offset=offset) / wave_number / g
+        higher *= distance
+        total = 2 * np.pi * fht(higher, step, 0.0, offset=offset)[:, inside] / wave_number[inside] / g
         if coarse is None:
             total = np.exp(-g) * first_order + np.maximum(total, 0.0)
-        floor = (_NOISE if coarse is None else _SPREAD_NOISE) * total[:, inside].max(axis=1, keepdims=True)
-        logs = np.log(np.maximum(total[:, inside], floor))
-        values[rows] = CubicSpline(np.log(grid[inside]), logs, axis=1)(asked)
+        floor = (_NOISE if coarse is None else _SPREAD_NOISE) * total.max(axis=1, keepdims=True)
+        logs = np.log(np.maximum(total, floor))
+        # The frequency that stands for 0 is decades below the others.
+        for part in (slice(0, 1), slice(1, None)):
+            values[rows, part] = _interpolated(np.log(grid[inside]), logs, asked[part])
     return values
+
+
+def _interpolated(nodes: Array, values: Array, at: Array) -> Array:
+    """Cubic splines through values (phases, nodes), at places, from the nodes about these: others change less than rounding does."""
+    first, last = np.searchsorted(nodes, [at.min(), at.max()])
+    used = slice(max(int(first) - _NEAR, 0), int(last) + _NEAR)
+    return np.asarray(CubicSpline(nodes[used], values[:, used], axis=1)(at))
+
+
+def _higher_orders(g: Array, rho: Array) -> Array:
+    """e^(−g)(e^(gρ) − 1 − gρ), (phases, distances), of g (phases, 1) and ρ (distances,)."""
+    few, many = np.flatnonzero(g.min() * rho < _SMALL), np.flatnonzero(g.max() * rho >= _SMALL)
+    # Near distances, where gρ is small for no g, and far ones, where it is small for every g, are most of all.
+    first = few[0] if few.size else rho.size
+    last = many[-1] + 1 if many.size else 0
+    first = min(first, last)
+    result, exponent = np.empty((g.size, rho.size)), g * rho
+    small, large = exponent[:, first:], exponent[:, :last]
+    result[:, first:] = np.exp(-g) * small**2 * (0.5 + small / 6 + small**2 / 24)
+    exact = np.exp(large - g) - np.exp(-g) * (1 + large)
+    result[:, :first] = exact[:, :first]
+    result[:, first:last] = np.where(large[:, first:] < _SMALL, result[:, first:last], exact[:, first:])
+    return result
 
 
 def _autocorrelation(correlation: Autocorrelation, distance: Array) -> Array:
