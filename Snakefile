@@ -1,6 +1,7 @@
 from pathlib import Path
 
 from brdfpipe.jobs.rules import Pipeline
+from brdfpipe.jobs.staleness import force_stale
 from brdfpipe.stages import EXPORTS
 
 pipeline = Pipeline(config, Path(workflow.basedir) / "workflow" / "scripts")
@@ -35,6 +36,7 @@ include: "workflow/rules/catalogue.smk"
 
 
 pipeline.declare_stage_properties(workflow)
+pipeline.before_planning(lambda pipeline: force_stale(pipeline, workflow))
 
 
 rule all:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterable, Mapping
+from functools import wraps
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from brdfpipe.catalogue.calibration import Calibration
 from brdfpipe.catalogue.catalogue import load
@@ -13,6 +14,7 @@ from brdfpipe.catalogue.configuration import load_config
 from brdfpipe.catalogue.material import Material
 from brdfpipe.catalogue.names import CALIBRATIONS, CatalogueError
 from brdfpipe.jobs import code, pool
+from brdfpipe.jobs.index import digest_of, shared_index
 from brdfpipe.jobs.runs import planned_runs, results_folder
 from brdfpipe.jobs.stage import Job
 from brdfpipe.scenes.scene import DEFAULT, FOLDER, Scene
@@ -21,6 +23,34 @@ from brdfpipe.store import canonical_json
 
 InputFunction = Callable[[Any], Any]
 """Called by snakemake with the wildcards of a job; returns its files, or a parameter."""
+
+
+def _input_function(method: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
+    """A method of the pipeline that the rules name as input."""
+
+    @wraps(method)
+    def give(self: Any, wildcards: Any) -> Any:
+        return self._given(lambda wildcards: method(self, wildcards))(wildcards)
+
+    return give
+
+
+class JobWildcards(dict[str, str]):
+    """Wildcards of a job, also as attributes, as snakemake gives them."""
+
+    def __getattr__(self, name: str) -> str:
+        try:
+            return self[name]
+        except KeyError:
+            raise AttributeError(name) from None
+
+
+class PlannedJob(NamedTuple):
+    """A job that may have to run."""
+
+    stage: Stage
+    wildcards: JobWildcards
+    outputs: tuple[str, ...]
 
 
 class Pipeline:
@@ -49,6 +79,9 @@ class Pipeline:
         self.scenes_present = list(dict.fromkeys([*_scenes_present(), *built]))
         """Scenes with a page in the current folder, that of the results, now or after the build."""
         self._outputs: dict[str, list[str]] = {}
+        self._inputs: dict[str, list[InputFunction | str]] = {}
+        self._code: dict[str, str] = {}
+        self._before_planning: Callable[[Pipeline], None] | None = None
         self._subjects: dict[tuple[str, str], Subject] = {}
 
     def subject(self, owner: Material | Calibration, scene: Scene | None = None) -> Subject:
@@ -68,8 +101,9 @@ class Pipeline:
         the wildcards of the rule.
         """
         names = {stage: stage for stage in stages} | renamed
-        return {name: self._result(STAGES[stage]) for name, stage in names.items()}
+        return {name: self._given(self._result(STAGES[stage])) for name, stage in names.items()}
 
+    @_input_function
     def reported(self, wildcards: Any) -> dict[str, Any]:
         """The datasets that the report reads, by stage, in the order of the declarations."""
         results = {
@@ -79,13 +113,15 @@ class Pipeline:
 
     def raw_file(self, part: str) -> InputFunction:
         """The raw file of a part of the material, if it has one: ``surface``, or ``surface-{scan}`` for a further scan."""
-        return lambda wildcards: str(self._owner(wildcards).files.get(part.format(**wildcards), "")) or []
+        return self._given(lambda wildcards: str(self._owner(wildcards).files.get(part.format(**wildcards), "")) or [])
 
+    @_input_function
     def source_of_bsdf(self, wildcards: Any) -> dict[str, str]:
         """The dataset that becomes the BSDF, by its stage."""
         source = source_of_bsdf(self.subject(self._owner(wildcards)))
         return {source: self._result(STAGES[source])(wildcards)}
 
+    @_input_function
     def experience(self, wildcards: Any) -> Any:
         """The errors that were measured for the scene of a material on other materials, if there are any."""
         file = self.catalogue[wildcards.material].scene.experience_file
@@ -103,23 +139,27 @@ class Pipeline:
                 and STAGES[stage].jobs(self.subject(material, material.scene))
             ]
 
-        return files
+        return self._given(files)
 
+    @_input_function
     def rig_sources(self, wildcards: Any) -> list[str]:
         """Plan, rig and fibres of a run to be emulated."""
         return self.runs[results_folder(self._owner(wildcards))].sources
 
+    @_input_function
     def rig_truth(self, wildcards: Any) -> str:
         """The BSDF that the emulated rig measures."""
         truth = self.catalogue[self._owner(wildcards).content["rig"]["emulate"]["truth"]]
         return self._outputs[source_of_bsdf(self.subject(truth))][0].format(material=truth.name)
 
+    @_input_function
     def rig_journal(self, wildcards: Any) -> str:
         """The journal of a run, measured or emulated."""
         owner = self._owner(wildcards)
         emulated = "emulate" in self.subject(owner).section("rig")
         return f"{results_folder(owner)}/run/journal.jsonl" if emulated else str(owner.files["rig"])
 
+    @_input_function
     def previous_calibration(self, wildcards: Any) -> Any:
         """The profile of the previous calibration, if the description names one."""
         previous = self.catalogue.calibrations[wildcards.calibration].previous
@@ -140,6 +180,62 @@ class Pipeline:
             pattern.format(scene=scene.folder) for scene in scenes for pattern in self._outputs["catalogue"]
         ] + of_materials
 
+    def _given(self, files: InputFunction) -> InputFunction:
+        """A function as snakemake gets it: it asks first what has to run, and marks raw files, whose times have no effect."""
+
+        def give(wildcards: Any) -> Any:
+            if action := self._before_planning:
+                self._before_planning = None
+                action(self)
+            return _ageless(files(wildcards))
+
+        return give
+
+    # --- jobs, as snakemake will plan them
+
+    def jobs(self) -> dict[str, PlannedJob]:
+        """Every job that a result may need, by each of its outputs."""
+        materials = [self.catalogue[name] for name in self.names]
+        owners: list[tuple[Stage, Subject, dict[str, str]]] = []
+        for stage in STAGES.values():
+            of_scene = "{scene}" in self._outputs[stage.name][0]
+            if stage.owner_kind == "material":
+                owners += [
+                    (stage, self.subject(one, one.scene if of_scene else None), {"material": one.name})
+                    for one in materials
+                ]
+            elif stage.owner_kind == "calibration":
+                calibrations = self.catalogue.calibrations.values()
+                owners += [(stage, self.subject(one), {"calibration": one.name}) for one in calibrations]
+        jobs = [
+            self._planned(stage, {**name, **({"scene": subject.scene.folder} if subject.scene else {}), **job})
+            for stage, subject, name in owners
+            for job in stage.jobs(subject)
+        ]
+        jobs += [self._planned(STAGES["catalogue"], {"scene": scene.folder}) for scene in self.catalogue.scenes]
+        return {path: job for job in jobs for path in job.outputs}
+
+    def inputs_of(self, job: PlannedJob) -> list[str]:
+        """The input files of a job."""
+        paths: list[str] = []
+        for item in self._inputs[job.stage.name]:
+            found = item(job.wildcards) if callable(item) else item.format(**job.wildcards)
+            for value in found.values() if isinstance(found, dict) else [found]:
+                paths += [value] if isinstance(value, str) else value
+        return paths
+
+    def parameters_of(self, job: PlannedJob) -> str:
+        """Digest of the parameters of a job."""
+        return digest_of(self.spec(job.stage)(job.wildcards))
+
+    def code_of(self, job: PlannedJob) -> str:
+        """Digest of the code of a job."""
+        return self._code[job.stage.name]
+
+    def _planned(self, stage: Stage, wildcards: Mapping[str, str]) -> PlannedJob:
+        outputs = tuple(pattern.format(**wildcards) for pattern in self._outputs[stage.name])
+        return PlannedJob(stage, JobWildcards(wildcards), outputs)
+
     # --- what follows from the declaration of a stage
 
     def declare_stage_properties(self, workflow: Any) -> None:
@@ -148,10 +244,11 @@ class Pipeline:
 
         stages = [STAGES[rule.name] for rule in workflow.rules if rule.name in STAGES]
         with code.remember_parsed(Path(".snakemake", "code.json")):
-            digests = {stage.name: code.digest(self._script(stage), extra_modules=stage.modules) for stage in stages}
+            self._code = {stage.name: code.digest(self._script(stage), extra_modules=stage.modules) for stage in stages}
         owners = {"material": "{material}", "calibration": f"{CALIBRATIONS}.{{calibration}}"}
         for rule in workflow.rules:
             rule.log_modifier = workflow.modifier.path_modifier
+            rule.input_modifier = None  # it would drop the marks of files
             if rule.name not in STAGES:
                 rule.set_log(f"logs/{rule.name}.log")  # never written; the workflow's lint wants one
                 continue
@@ -161,9 +258,14 @@ class Pipeline:
             if "{scene}" in self._outputs[stage.name][0]:
                 owner = f"{{scene}}{owner}"
             rule.set_log(f"logs/{owner}/{stage.job_title}.log")
-            rule.set_params(spec=self.spec(stage), code=digests[stage.name])
+            rule.set_params(spec=self.spec(stage))
+            self._inputs[stage.name] = [_function_of(item) or str(item) for item in rule.input]
             rule.message = f"{stage.job_title} of {owner}".replace("{", "{wildcards.")
             rule.resources["mem_mb"] = stage.memory
+
+    def before_planning(self, action: Callable[[Pipeline], None]) -> None:
+        """Call a function before snakemake decides which jobs run: when it asks for the first input files."""
+        self._before_planning = action
 
     def preload(self, jobs: Iterable[Any]) -> None:
         """Import the slow modules that some jobs use once, in the server of the workers; call it before the first job."""
@@ -207,9 +309,14 @@ class Pipeline:
             output=_existing_paths(output),
             spec=json.loads(params.spec),
         )
+        index, inputs, outputs = shared_index(Path.cwd()), list(map(str, input)), list(map(str, output))
+        read = index.inputs(inputs)
+        index.start(outputs)
         outcome = pool.shared_pool().perform(job)
         if outcome.error:
             raise pool.StageError(f"{job.description}: {outcome.error}")
+        if index.inputs(inputs) == read:  # a file that changed meanwhile is read again by the next build
+            index.finish(digest_of(params.spec), self._code[rule], read, outputs)
 
     def _script(self, stage: Stage) -> Path:
         return self.scripts / f"{stage.script}.py"
@@ -257,6 +364,31 @@ def _link(scene: str, source: str) -> str:
     """The page of a scene's catalogue in relation to that of another one."""
     folder = "" if scene == DEFAULT else f"{FOLDER}/{scene}/"
     return f"{'' if source == DEFAULT else '../../'}{folder}index.html"
+
+
+def _ageless(files: Any) -> Any:
+    """Input files, the raw ones marked so that snakemake does not look at their times."""
+    if isinstance(files, dict):
+        return {name: _ageless(value) for name, value in files.items()}
+    if isinstance(files, str):
+        return _ancient(files) if Path(files).is_absolute() else files
+    return [_ageless(file) for file in files]
+
+
+def _ancient(path: str) -> Any:
+    from snakemake.io import ancient
+
+    return ancient(path)
+
+
+def _function_of(item: Any) -> InputFunction | None:
+    """The function that a rule names as input, also where ``unpack`` flags it."""
+    return item if callable(item) else getattr(_flagged(item), "callable", None)
+
+
+def _flagged(item: Any) -> Any:
+    """Snakemake's object with the flags of an input, which other objects may hold."""
+    return getattr(item, "_file", item)
 
 
 def _existing_paths(files: Any) -> dict[str, str | list[str]]:

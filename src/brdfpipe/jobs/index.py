@@ -1,0 +1,277 @@
+"""The index of a folder of results: what each job read and wrote, by content, so that a change is noticed whatever the times of files say.
+
+It is a text file of one JSON object a line; a later line replaces an earlier one of the same file or job. A line that a killed
+build left unfinished is ignored: its job runs again.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import threading
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from brdfpipe.errors import InputError
+from brdfpipe.store import canonical_json, file_digest, write_text
+
+INDEX = ".index.jsonl"
+"""In the folder of results."""
+
+SETTLED_NS = 50_000_000
+"""A file that changed less than 50 ms ago may change again without another time: the clock of a file system has coarse steps."""
+
+_MOST_SUPERSEDED = 0.5
+"""Share of superseded lines above which the file is written anew."""
+
+_DIGITS = 32
+"""Of a digest, hexadecimal."""
+
+Inputs = tuple[tuple[str, str], ...]
+"""Name and digest of the content of each input; see :meth:`Index.inputs`."""
+
+
+class Stamp(NamedTuple):
+    """What the file system says of a file; while it stays the same, so does the content."""
+
+    size: int
+    mtime_ns: int
+    ctime_ns: int
+    inode: int
+
+
+@dataclass(frozen=True)
+class Record:
+    """A job that succeeded."""
+
+    parameters: str
+    """Digest of the parameters of the stage."""
+    code: str
+    """Digest of the code of the stage."""
+    inputs: Inputs
+    outputs: Mapping[str, str]
+    """Path → digest of the content."""
+
+
+class Completed(NamedTuple):
+    """The last build without failures, since when no job has run."""
+
+    fingerprint: str
+    """Of all that the build depended on beside its files."""
+    files: tuple[str, ...]
+    content: str
+    """Digest of the digests of these files."""
+
+
+class Index:
+    """The files of a folder of results and the raw files of its materials, with the digests of their contents, and the jobs.
+
+    A path is relative to the folder, or absolute for a raw file. Several threads may use one index.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder.resolve()
+        self._root = str(self.folder)
+        self.jobs: dict[str, Record] = {}
+        """By the first output."""
+        self.files: tuple[str, ...] = ()
+        """Results and raw files of the build, if they have been examined."""
+        self.replaced: set[str] = set()
+        """Results of which the build found that they are not what their jobs wrote."""
+        self._completed: Completed | None = None
+        self._files: dict[str, tuple[Stamp, str]] = {}
+        self._written: dict[str, str] = {}
+        """Result → digest of what its job wrote."""
+        self._lock = threading.Lock()
+        self._read()
+
+    # --- files
+
+    def digest(self, path: str) -> str | None:
+        """Digest of the content that a file has now; it is read only if its stamp changed. None: there is no such file."""
+        stamp = self._stamp(path)
+        if stamp is None:
+            return None
+        known = self._files.get(path)
+        if known and known[0] == stamp:
+            return known[1]
+        return self._read_content(path, stamp)
+
+    def time(self, path: str) -> int:
+        """Time of the last change of a file, ns; 0: there is no such file."""
+        known = self._files.get(path)
+        stamp = known[0] if known else self._stamp(path)
+        return stamp.mtime_ns if stamp else 0
+
+    def touch(self, path: str, time_ns: int) -> None:
+        """Give a result a later time."""
+        digest = self.digest(path)
+        os.utime(self.folder / path, ns=(time_ns, time_ns))
+        stamp = self._stamp(path)
+        if digest and stamp:
+            with self._lock:
+                self._files[path] = stamp, digest
+                self._append({"file": path, "is": [*stamp, digest]})
+
+    def intact(self, path: str) -> bool:
+        """Whether a result is what its job wrote; true of a file that no job of the index wrote."""
+        return path not in self._written or self.digest(path) == self._written[path]
+
+    def damaged(self, paths: Iterable[str]) -> list[str]:
+        """Results that are not what their jobs wrote; each is read whole, whatever its stamp."""
+        damaged = []
+        for path in paths:
+            stamp = self._stamp(path)
+            if path in self._written and stamp and self._read_content(path, stamp) != self._written[path]:
+                damaged.append(path)
+        return damaged
+
+    def inputs(self, paths: Iterable[str], absent: Callable[[str], str] = lambda path: "") -> Inputs:
+        """Names and digests of input files; ``absent`` gives that of a file that does not exist.
+
+        A raw file is named without its folder, so that a catalogue may be moved.
+        """
+        return tuple(sorted((_name(path), self.digest(path) or absent(path)) for path in paths))
+
+    # --- jobs
+
+    def start(self, outputs: Sequence[str]) -> None:
+        """Forget a job, by its outputs, before it runs: if it is stopped, it runs again."""
+        with self._lock:
+            self._forget(outputs[0])
+            self._append({"job": outputs[0]})
+
+    def finish(self, parameters: str, code: str, inputs: Inputs, outputs: Sequence[str]) -> None:
+        """Record a job that succeeded; its outputs are read."""
+        stamps = {path: self._stamp(path) for path in outputs}
+        files = {path: (stamp, _file_digest(self.folder / path)) for path, stamp in stamps.items() if stamp}
+        record = Record(parameters, code, inputs, {path: digest for path, (_, digest) in files.items()})
+        line = {
+            "job": outputs[0],
+            "parameters": parameters,
+            "code": code,
+            "inputs": inputs,
+            "outputs": {path: [*stamp, digest] for path, (stamp, digest) in files.items()},
+        }
+        with self._lock:
+            self._files |= files
+            self._written |= record.outputs
+            self.jobs[outputs[0]] = record
+            self._append(line)
+
+    def complete(self, fingerprint: str, files: Iterable[str]) -> None:
+        """Record a build without failures: the fingerprint of all that it depended on, and its files."""
+        present = tuple(path for path in files if self.digest(path))
+        completed = Completed(fingerprint, present, self._content(present))
+        with self._lock:
+            self._completed = completed
+            self._append({"completed": completed})
+
+    def is_complete(self, fingerprint: str) -> bool:
+        """Whether nothing changed since the last build without failures."""
+        last = self._completed
+        return last is not None and last.fingerprint == fingerprint and last.content == self._content(last.files)
+
+    def _content(self, files: Sequence[str]) -> str:
+        return digest_of([self.digest(path) for path in files])
+
+    def _forget(self, job: str) -> None:
+        self._completed = None
+        if record := self.jobs.pop(job, None):
+            for path in record.outputs:
+                self._written.pop(path, None)
+
+    # --- the file
+
+    def _stamp(self, path: str) -> Stamp | None:
+        try:
+            status = os.stat(os.path.join(self._root, path))  # noqa: PTH116, PTH118 - of many files; a Path takes four times as long
+        except OSError:
+            return None
+        return Stamp(status.st_size, status.st_mtime_ns, status.st_ctime_ns, status.st_ino)
+
+    def _read_content(self, path: str, stamp: Stamp) -> str | None:
+        now = time.time_ns()
+        try:
+            digest = _file_digest(self.folder / path)
+        except InputError:
+            return None
+        if now - max(stamp.mtime_ns, stamp.ctime_ns) > SETTLED_NS and stamp == self._stamp(path):
+            with self._lock:
+                self._files[path] = stamp, digest
+                self._append({"file": path, "is": [*stamp, digest]})
+        return digest
+
+    def _append(self, line: Mapping[str, Any]) -> None:
+        # Where the disk is full, the job runs again in the next build.
+        with suppress(OSError), (self.folder / INDEX).open("a", encoding="utf-8") as file:
+            file.write(canonical_json(line) + "\n")
+
+    def _read(self) -> None:
+        try:
+            lines = (self.folder / INDEX).read_text(encoding="utf-8").split("\n")
+        except (OSError, UnicodeDecodeError):
+            return
+        live: dict[tuple[str, str], str] = {}
+        for line in lines:
+            with suppress(ValueError, KeyError, TypeError):  # unfinished or damaged
+                subject = self._take(json.loads(line))
+                live.pop(subject, None)  # later lines stay later
+                live[subject] = line
+        if lines[-1] or len(lines) * (1 - _MOST_SUPERSEDED) > len(live) + 1:
+            with suppress(OSError):
+                write_text(self.folder / INDEX, "".join(f"{line}\n" for line in live.values()))
+
+    def _take(self, line: Mapping[str, Any]) -> tuple[str, str]:
+        """Take over one line of the file; return what it is about: a later line of the same replaces it."""
+        if "file" in line:
+            self._files[line["file"]] = _stamp_and_digest(line["is"])
+            return "file", line["file"]
+        if "job" in line and "outputs" not in line:
+            self._forget(line["job"])
+            return "job", line["job"]
+        if "job" in line:
+            files = {path: _stamp_and_digest(values) for path, values in line["outputs"].items()}
+            written = {path: digest for path, (_, digest) in files.items()}
+            inputs = tuple((name, digest) for name, digest in line["inputs"])
+            self.jobs[line["job"]] = Record(line["parameters"], line["code"], inputs, written)
+            self._files |= files
+            self._written |= written
+            return "job", line["job"]
+        fingerprint, paths, content = line["completed"]
+        self._completed = Completed(fingerprint, tuple(paths), content)
+        return "completed", ""
+
+
+_shared: dict[Path, Index] = {}
+
+
+def shared_index(folder: Path, fresh: bool = False) -> Index:
+    """The index of a folder that all parts of a build share; ``fresh``: read anew, at the start of a build."""
+    folder = folder.resolve()
+    if fresh or folder not in _shared:
+        _shared[folder] = Index(folder)
+    return _shared[folder]
+
+
+def digest_of(value: Any) -> str:
+    """Digest of a value that JSON can hold."""
+    return hashlib.sha256(canonical_json(value).encode()).hexdigest()[:_DIGITS]
+
+
+def _file_digest(path: Path) -> str:
+    return file_digest(path)[:_DIGITS]
+
+
+def _stamp_and_digest(values: Sequence[Any]) -> tuple[Stamp, str]:
+    *stamp, digest = values
+    return Stamp(*stamp), digest
+
+
+def _name(path: str) -> str:
+    return f"/{Path(path).name}" if Path(path).is_absolute() else path
