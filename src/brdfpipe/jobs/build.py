@@ -20,6 +20,8 @@ from brdfpipe.catalogue.names import DESCRIPTION, RESULT_MARKS
 from brdfpipe.errors import BrdfpipeError
 from brdfpipe.jobs import budgets, cleanup, failures, pool, summary
 from brdfpipe.jobs.failures import Failures
+from brdfpipe.jobs.fingerprint import fingerprint
+from brdfpipe.jobs.index import shared_index
 from brdfpipe.jobs.snakemake_run import LOG, SnakemakeRun
 from brdfpipe.jobs.summary import Summary
 from brdfpipe.scenes.scene import is_file
@@ -67,15 +69,19 @@ def build(
         if not dry_run:
             cleanup.remove_leftovers(results, LOG)
         failed_materials = failures.of_unwritable_folders(results, catalogue) | failures.of_plans(catalogue)
-        run = SnakemakeRun(results, dry_run)
-        deleted = _run_until_complete(run, catalogue, snakemake_config, cores, failed_materials, interrupts)
+        run, index = SnakemakeRun(results, dry_run), shared_index(results, fresh=True)
+        mark, deleted = fingerprint(catalogue, results), list[str]()
+        if failed_materials or not index.is_complete(mark):
+            deleted = _run_until_complete(run, catalogue, snakemake_config, cores, failed_materials, interrupts)
+            if not (dry_run or failed_materials):
+                index.complete(mark, index.files)
         stale = [] if dry_run else cleanup.mark_stale(results, catalogue, failed_materials)
     touched = {material for _, material in run.done}
     built_materials = [material.name for material in catalogue.materials if material.name not in failed_materials]
     tables = [] if dry_run else [results / one.folder for one in catalogue.scenes]
     verdicts = summary.read_verdicts(tables, built_materials)
     pages = {name: results / catalogue.scene_of(name).folder / name / "report.html" for name in verdicts}
-    notices = summary.notices(catalogue.folder, deleted, stale)
+    notices = summary.notices(catalogue.folder, deleted, sorted(index.replaced), stale)
     over = () if dry_run else budgets.exceeded(results, catalogue, built_materials)
     reasons = {name: f"{entry['stage']}: {entry['message']}" for name, entry in failed_materials.items()}
     return Summary(

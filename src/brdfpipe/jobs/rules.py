@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from brdfpipe.catalogue.calibration import Calibration
-from brdfpipe.catalogue.catalogue import load
+from brdfpipe.catalogue.catalogue import Catalogue, load
 from brdfpipe.catalogue.configuration import load_config
 from brdfpipe.catalogue.material import Material
 from brdfpipe.catalogue.names import CALIBRATIONS, CatalogueError
@@ -75,8 +75,7 @@ class Pipeline:
         self.failures = {name: {"stage": "check", "message": text} for name, text in refused.items()}
         self.failures |= dict(config.get("failures") or {})
         self.names = [material.name for material in self.catalogue.materials if material.name not in self.failures]
-        built = [scene.name for scene in self.catalogue.scenes]
-        self.scenes_present = list(dict.fromkeys([*_scenes_present(), *built]))
+        self.scenes_present = scenes_present(Path(), self.catalogue)
         """Scenes with a page in the current folder, that of the results, now or after the build."""
         self._outputs: dict[str, list[str]] = {}
         self._inputs: dict[str, list[InputFunction | str]] = {}
@@ -354,10 +353,11 @@ class Pipeline:
         return self.catalogue.calibrations[name] if name else self.catalogue[wildcards.material]
 
 
-def _scenes_present() -> list[str]:
-    """Names of the scenes whose catalogues are in the current folder, the default one first."""
-    default = [DEFAULT] if Path("index.html").exists() else []
-    return default + sorted(page.parent.name for page in Path(FOLDER).glob("*/index.html"))
+def scenes_present(results: Path, catalogue: Catalogue) -> list[str]:
+    """Names of the scenes that have a page in the results, the default one first, or will have one after the build."""
+    default = [DEFAULT] if (results / "index.html").exists() else []
+    present = default + sorted(page.parent.name for page in (results / FOLDER).glob("*/index.html"))
+    return list(dict.fromkeys([*present, *(scene.name for scene in catalogue.scenes)]))
 
 
 def _link(scene: str, source: str) -> str:

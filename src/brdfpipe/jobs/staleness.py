@@ -48,8 +48,13 @@ def force_stale(pipeline: Pipeline, workflow: Any) -> None:
             with suppress(OSError):  # write-protected: its job runs again
                 index.touch(path, time_ns)
     workflow.dag.forcefiles.update(examination.stale)
+    workflow.dag.check_output_mtime = _accept_any_time
     index.files = tuple(examination.files)
     index.replaced.update(examination.replaced)
+
+
+async def _accept_any_time(*job_and_outputs: Any) -> None:
+    """Instead of a check that ends the whole build where an input carries a time of the future, as of a clock set wrongly."""
 
 
 class _Examiner:

@@ -13,7 +13,7 @@ from brdfpipe.catalogue.catalogue import ignored
 from brdfpipe.jobs.cleanup import STALE
 
 _LISTED = 5
-"""Folders that a notice names."""
+"""Names in a notice."""
 
 
 @dataclass(frozen=True)
@@ -82,15 +82,20 @@ def read_verdicts(folders: Iterable[Path], names: Iterable[str]) -> dict[str, tu
     }
 
 
-def notices(folder: Path, deleted: Sequence[str], stale: Sequence[str]) -> Iterator[str]:
-    """Damaged files that were replaced, results of materials that left the catalogue, ignored folders."""
+def notices(folder: Path, deleted: Sequence[str], replaced: Sequence[str], stale: Sequence[str]) -> Iterator[str]:
+    """Damaged and changed files that were made anew, results of materials that left the catalogue, ignored folders."""
     if deleted:
         yield f"{_count(len(deleted), 'damaged file')} deleted and made anew: {', '.join(deleted)}"
+    if changed := [name for name in replaced if name not in deleted]:
+        yield f"{_count(len(changed), 'result')} changed since the build wrote them, and made anew: {_listed(changed)}"
     if stale:
-        listed = ", ".join(stale[:_LISTED]) + (", …" if len(stale) > _LISTED else "")
-        yield f"{_count(len(stale), 'folder')} of materials that are no longer in the catalogue, marked by {STALE}: {listed}"
+        yield f"{_count(len(stale), 'folder')} of materials that are no longer in the catalogue, marked by {STALE}: {_listed(stale)}"
     for name, reason in ignored(folder).items():
         yield f"{name}: ignored: {reason}"
+
+
+def _listed(names: Sequence[str]) -> str:
+    return ", ".join(names[:_LISTED]) + (", …" if len(names) > _LISTED else "")
 
 
 def _count(number: int, word: str) -> str:
