@@ -194,23 +194,21 @@ class Pipeline:
 
     def jobs(self) -> dict[str, PlannedJob]:
         """Every job that a result may need, by each of its outputs."""
-        materials = [self.catalogue[name] for name in self.names]
-        owners: list[tuple[Stage, Subject, dict[str, str]]] = []
+        jobs = []
         for stage in STAGES.values():
             of_scene = "{scene}" in self._outputs[stage.name][0]
             if stage.owner_kind == "material":
-                owners += [
-                    (stage, self.subject(one, one.scene if of_scene else None), {"material": one.name})
-                    for one in materials
-                ]
+                for material in (self.catalogue[name] for name in self.names):
+                    wildcards = {"material": material.name} | ({"scene": material.scene.folder} if of_scene else {})
+                    # What all scenes share may be needed by a stage of the scene, or by one that they share.
+                    subjects = [self.subject(material, material.scene), *([] if of_scene else [self.subject(material)])]
+                    jobs += [
+                        self._planned(stage, wildcards | job) for subject in subjects for job in stage.jobs(subject)
+                    ]
             elif stage.owner_kind == "calibration":
-                calibrations = self.catalogue.calibrations.values()
-                owners += [(stage, self.subject(one), {"calibration": one.name}) for one in calibrations]
-        jobs = [
-            self._planned(stage, {**name, **({"scene": subject.scene.folder} if subject.scene else {}), **job})
-            for stage, subject, name in owners
-            for job in stage.jobs(subject)
-        ]
+                for calibration in self.catalogue.calibrations.values():
+                    wildcards = {"calibration": calibration.name}
+                    jobs += [self._planned(stage, wildcards | job) for job in stage.jobs(self.subject(calibration))]
         jobs += [self._planned(STAGES["catalogue"], {"scene": scene.folder}) for scene in self.catalogue.scenes]
         return {path: job for job in jobs for path in job.outputs}
 
