@@ -69,7 +69,8 @@ def files(results: Path) -> dict[str, bytes]:
     return {
         str(path.relative_to(results)): path.read_bytes()
         for path in sorted(results.rglob("*"))
-        if path.is_file() and path.relative_to(results).parts[0] not in ("logs", ".snakemake", ".build.lock", ".index.jsonl")
+        if path.is_file()
+        and path.relative_to(results).parts[0] not in ("logs", ".snakemake", ".build.lock", ".index.jsonl")
     }
 
 

@@ -11,8 +11,9 @@ import json
 import os
 import re
 import shutil
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
+from contextvars import ContextVar
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
@@ -30,6 +31,10 @@ SOFTWARE = ("brdfpipe", "netCDF4", "numpy", "scipy", "xarray")
 _NOT_IN_DIGEST = ("digest", "software")
 
 
+_owner: ContextVar[Callable[[Path], str | None]] = ContextVar("owner", default=lambda path: None)
+"""See :func:`owners_checked`."""
+
+
 class StoreError(BrdfpipeError):
     """A stored dataset cannot be read or written."""
 
@@ -44,7 +49,7 @@ def open_dataset(path: str | os.PathLike[str], kind: str | None = None) -> xr.Da
 
     Raises
     ------
-    StoreError : the file is missing, truncated or not a netCDF file.
+    StoreError : the file is missing, truncated or not a netCDF file; or of another material (:func:`owners_checked`).
     VocabularyError : it is not of that kind.
     """
     path = Path(path)
@@ -58,8 +63,32 @@ def open_dataset(path: str | os.PathLike[str], kind: str | None = None) -> xr.Da
             f"{path}: damaged or not a netCDF file ({_cause(error)}); "
             "delete it and run `brdfpipe build` to build it again"
         ) from error
+    _check_owner(dataset, path)
     kind = kind or dataset.attrs.get("kind")
     return vocabulary.validate(dataset, kind, str(path)) if kind else dataset
+
+
+@contextmanager
+def owners_checked(owner: Callable[[Path], str | None]) -> Iterator[None]:
+    """Inside the block, refuse a dataset that is another material's than its place says.
+
+    Parameters
+    ----------
+    owner : from the path, the required attribute ``material``; None: any
+    """
+    before = _owner.set(owner)
+    try:
+        yield
+    finally:
+        _owner.reset(before)
+
+
+def _check_owner(dataset: xr.Dataset, path: Path) -> None:
+    required, found = _owner.get()(path), dataset.attrs.get("material")
+    if required is not None and found is not None and found != required:
+        raise StoreError(
+            f"{path}: is a dataset of the material {found}, not of {required}; delete it and run `brdfpipe build`"
+        )
 
 
 @contextmanager
@@ -74,7 +103,12 @@ def opened(paths: Mapping[str, str | os.PathLike[str]]) -> Iterator[dict[str, xr
     """
     with ExitStack() as files:
         try:
-            yield {name: files.enter_context(xr.open_dataset(path, engine="netcdf4")) for name, path in paths.items()}
+            datasets = {
+                name: files.enter_context(xr.open_dataset(path, engine="netcdf4")) for name, path in paths.items()
+            }
+            for name, dataset in datasets.items():
+                _check_owner(dataset, Path(paths[name]))
+            yield datasets
         except (OSError, RuntimeError, ValueError):
             for path in paths.values():
                 open_dataset(path)  # says which one is damaged, if any is

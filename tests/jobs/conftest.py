@@ -20,6 +20,11 @@ import hashlib, json, os, signal, time
 from pathlib import Path
 from brdfpipe.errors import InputError
 
+def damage(path):
+    status = path.stat()
+    path.write_text("damaged".ljust(status.st_size)[: status.st_size])
+    os.utime(path, ns=(status.st_atime_ns, status.st_mtime_ns))
+
 def main(input, output, params):
     texts = []
     for value in input.values():
@@ -30,6 +35,13 @@ def main(input, output, params):
         raise InputError("raw.txt", "not fit to use", found="refuse")
     if "crash" in raw:
         raise KeyError("a bug")
+    if raw.startswith("lose "):
+        Path(raw.removeprefix("lose ")).unlink(missing_ok=True)
+    if raw.startswith("damage ") and not Path("damaged").exists():
+        Path("damaged").touch()
+        damage(Path(raw.removeprefix("damage ")))
+    if "abort" in raw or any("damaged" in text for text in texts):
+        os.abort()
     if "die" in raw:
         os.kill(os.getpid(), signal.SIGKILL)
     if "stumble" in raw and not Path("stumbled").exists():

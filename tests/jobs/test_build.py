@@ -143,6 +143,51 @@ def test_a_stage_whose_worker_is_killed_fails_by_name_and_alone(folder: Path, re
     assert summary.failures["first"].startswith("surface: the process was killed 2 times (SIGKILL)")
 
 
+def test_a_result_that_vanishes_during_the_build_is_made_again(folder: Path, results: Path, write: Write) -> None:
+    build(folder, results)
+    write(folder, "first", raw="lose first/index.nc")
+    write(folder, "second", raw="4 5 6")
+    summary = build(folder, results)
+    assert (summary.built, summary.failures) == (("first", "second"), {})
+    assert (results / "first" / "index.nc").exists()
+    assert build(folder, results).jobs == 0
+
+
+def test_a_raw_file_that_vanishes_during_the_build_fails_its_material_alone(
+    folder: Path, results: Path, write: Write
+) -> None:
+    write(folder, "first", raw=f"lose {folder / 'second' / 'raw.txt'}")
+    summary = build(folder, results)
+    assert summary.built == ("first",)
+    assert summary.failures.keys() == {"second"}
+    assert "raw.txt: vanished during the build" in summary.failures["second"]
+
+
+def test_a_stage_that_a_library_crashes_is_not_taken_for_a_shortage_of_memory(
+    folder: Path, results: Path, write: Write
+) -> None:
+    write(folder, "first", raw="abort")
+    summary = build(folder, results)
+    assert summary.built == ("second",)
+    assert summary.failures["first"] == (
+        "surface: a library crashed the process 2 times (SIGABRT); its inputs from other stages are undamaged; "
+        "check raw.txt (see logs/first/surface.log)"
+    )
+
+
+def test_a_damaged_result_that_crashes_its_reader_is_made_again(folder: Path, results: Path, write: Write) -> None:
+    """A file whose content changed although the file system says nothing, as by a failing disk, and of which a library dies."""
+    build(folder, results)
+    made = content(results)
+    write(folder, "first", raw="damage first/index.nc")
+    summary = build(folder, results)
+    assert (summary.failures, summary.notices) == ({}, ("1 damaged or lost file made anew: first/index.nc",))
+    write(folder, "first")
+    assert build(folder, results).failures == {}
+    (results / "damaged").unlink()  # the mark of the stage that it has done its damage
+    assert content(results) == made
+
+
 def test_deleting_an_intermediate_rebuilds_it_and_what_depends_on_it(folder: Path, results: Path) -> None:
     build(folder, results)
     before, made = times(results), content(results)
@@ -333,7 +378,7 @@ def test_only_results_inside_the_folder_are_ever_deleted_as_damaged(tmp_path: Pa
         file.touch()
     record = {"damaged": ["../raw.nc", str(tmp_path / "raw.nc"), "bad.nc", "absent.nc"]}
     (results / "failures" / "m.json").write_text(json.dumps(record))
-    assert cleanup.delete_damaged(results, []) == ["bad.nc"]
+    assert cleanup.delete_damaged(results, []) == ["absent.nc", "bad.nc"]
     assert {path.name for path in tmp_path.rglob("*.nc")} == {"raw.nc", "good.nc"}
 
 
@@ -416,14 +461,17 @@ def test_a_killed_build_leaves_no_process_and_resumes(
     assert content(results) == content(undisturbed)
 
 
+@pytest.mark.parametrize(
+    ("number", "code", "word"), [(signal.SIGINT, 130, "interrupted"), (signal.SIGTERM, 143, "terminated")]
+)
 def test_an_interrupted_build_ends_its_workers_and_prints_a_message(
-    stuck: subprocess.Popen[str], results: Path
+    stuck: subprocess.Popen[str], results: Path, number: int, code: int, word: str
 ) -> None:
     children = psutil.Process(stuck.pid).children(recursive=True)
-    stuck.send_signal(signal.SIGINT)
+    stuck.send_signal(number)
     output, _ = stuck.communicate(timeout=PATIENCE)
-    assert stuck.returncode == 130
-    assert output.splitlines()[-1] == "brdfpipe: interrupted; the same command resumes"
+    assert stuck.returncode == code
+    assert output.splitlines()[-1] == f"brdfpipe: {word}; the same command resumes"
     wait_until(
         "all processes of the build have ended",
         lambda: not any(child.is_running() and child.status() != psutil.STATUS_ZOMBIE for child in children),

@@ -38,7 +38,8 @@ def files(folder: Path) -> set[str]:
     return {
         str(path.relative_to(folder))
         for path in folder.rglob("*")
-        if path.is_file() and path.relative_to(folder).parts[0] not in ("logs", ".snakemake", ".build.lock", ".index.jsonl", "scenes")
+        if path.is_file()
+        and path.relative_to(folder).parts[0] not in ("logs", ".snakemake", ".build.lock", ".index.jsonl", "scenes")
     }
 
 

@@ -11,6 +11,7 @@ from typing import ParamSpec
 import click
 
 from brdfpipe.errors import BrdfpipeError
+from brdfpipe.jobs.interrupts import Terminated
 
 Arguments = ParamSpec("Arguments")
 
@@ -19,7 +20,7 @@ FILE = click.Path(path_type=Path, dir_okay=False, exists=True)
 
 
 def exit_on_error(command: Callable[Arguments, int]) -> Callable[Arguments, None]:
-    """Exit with the code that a command returns; with 2 and one line after an error, with 130 after an interrupt."""
+    """Exit with the code that a command returns; with 2 and one line after an error, with 130 after an interrupt, 143 after SIGTERM."""
 
     @wraps(command)
     def run(*args: Arguments.args, **kwargs: Arguments.kwargs) -> None:
@@ -31,9 +32,10 @@ def exit_on_error(command: Callable[Arguments, int]) -> Callable[Arguments, None
         except OSError as error:
             click.echo(f"brdfpipe: {error.filename or 'operating system'}: {error.strerror or error}", err=True)
             code = 2
-        except KeyboardInterrupt:
-            click.echo("brdfpipe: interrupted; the same command resumes", err=True)
-            code = 130
+        except KeyboardInterrupt as interrupt:
+            terminated = isinstance(interrupt, Terminated)
+            click.echo(f"brdfpipe: {'terminated' if terminated else 'interrupted'}; the same command resumes", err=True)
+            code = 143 if terminated else 130
         sys.exit(code)
 
     return run

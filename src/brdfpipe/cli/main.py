@@ -1,7 +1,7 @@
 """The command line: ``brdfpipe build``, ``check``, ``diff``, ``scenes`` and ``new``; the group ``rig`` is :mod:`brdfpipe.cli.rig`.
 
 Exit codes: 0 every material was built (or is ok), 1 at least one was not, 2 the command, the catalogue or the configuration
-cannot be used, 130 interrupted. The verdict of a material's checks does not change the exit code.
+cannot be used, 130 interrupted, 143 terminated. The verdict of a material's checks does not change the exit code.
 """
 
 from __future__ import annotations

@@ -6,12 +6,10 @@ that failed makes the page of the catalogue. Damaged results that a stage could 
 
 from __future__ import annotations
 
-import signal
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from types import FrameType
 from typing import Any
 
 from brdfpipe.catalogue.catalogue import Catalogue, load
@@ -22,9 +20,14 @@ from brdfpipe.jobs import budgets, cleanup, failures, pool, summary
 from brdfpipe.jobs.failures import Failures
 from brdfpipe.jobs.fingerprint import fingerprint
 from brdfpipe.jobs.index import shared_index
+from brdfpipe.jobs.interrupts import Interrupts, interruptible
 from brdfpipe.jobs.snakemake_run import LOG, SnakemakeRun
 from brdfpipe.jobs.summary import Summary
 from brdfpipe.scenes.scene import is_file
+
+
+_REPETITIONS = 3
+"""Of a run that ended early because a result vanished."""
 
 
 class BuildError(BrdfpipeError):
@@ -55,7 +58,7 @@ def build(
     ------
     CatalogueError, InputError, SceneError : the catalogue, the configuration or the scene cannot be used.
     BuildError : another build runs there, or snakemake itself failed.
-    KeyboardInterrupt : stopped by the user; the next build resumes.
+    KeyboardInterrupt : stopped by the user, or Terminated, by SIGTERM; the next build resumes.
     """
     started = time.perf_counter()
     catalogue = load(folder, load_config(config), scene)
@@ -65,11 +68,11 @@ def build(
         snakemake_config["settings"] = str(config.resolve())
     if scene is not None:
         snakemake_config["scene"] = str(Path(scene).resolve()) if is_file(scene) else scene
-    with _locked(results), _interruptible() as interrupts:
+    with _locked(results), interruptible(pool.close) as interrupts:
         if not dry_run:
             cleanup.remove_leftovers(results, LOG)
         failed_materials = failures.of_unwritable_folders(results, catalogue) | failures.of_plans(catalogue)
-        run, index = SnakemakeRun(results, dry_run), shared_index(results, fresh=True)
+        run, index = SnakemakeRun(results, dry_run, interrupts.install), shared_index(results, fresh=True)
         mark, deleted = fingerprint(catalogue, results), list[str]()
         if failed_materials or not index.is_complete(mark):
             deleted = _run_until_complete(run, catalogue, snakemake_config, cores, failed_materials, interrupts)
@@ -105,22 +108,24 @@ def _run_until_complete(
     snakemake_config: Mapping[str, Any],
     cores: int,
     failed_materials: Failures,
-    interrupts: list[int],
+    interrupts: Interrupts,
 ) -> list[str]:
     """Run snakemake, again after deleting damaged files, and again without the materials that failed (added to ``failed_materials``).
 
-    The loop ends: each iteration deletes a file for the first time in this build or leaves out one more material. Returns the deleted files.
+    The loop ends: each iteration deletes a file for the first time in this build, leaves out one more material, or is one of a few
+    repetitions after a result vanished. Returns the deleted files.
     """
     deleted: list[str] = []
+    repetitions = 0
     dependents = failures.dependents(catalogue)
     while True:
         succeeded = run.start({**snakemake_config, "failures": failed_materials}, cores)
-        if interrupts:
-            raise KeyboardInterrupt
+        interrupts.check()
         names = {material.name for material in catalogue.materials} - failed_materials.keys()
         new: Failures = {}
         if not run.dry_run:  # the records of a dry run are of the previous build
             new = failures.of_jobs(run.results, run.failed, names, dependents, LOG)
+            new |= failures.of_vanished_files(catalogue, names)
             damaged = cleanup.delete_damaged(run.results, deleted)
             deleted += damaged
             if damaged:
@@ -129,6 +134,10 @@ def _run_until_complete(
             new = failures.of_unwritable_files(run.errors, names)
         if succeeded and not new:
             return deleted
+        if not new and run.missed_files and repetitions < _REPETITIONS:
+            repetitions += 1
+            pool.close()  # snakemake stops all materials where an input is missing; what still runs must not meet the next run
+            continue
         if not new:
             raise BuildError(_reason(run))
         failed_materials |= new
@@ -176,29 +185,3 @@ def _locked(results: Path) -> Iterator[None]:
         yield
     finally:
         lock.release()
-
-
-@contextmanager
-def _interruptible() -> Iterator[list[int]]:
-    """Kill the workers on Ctrl-C; the next build runs their jobs again.
-
-    Yields the signals received, because snakemake turns an interrupt into a failed run.
-    """
-    interrupts: list[int] = []
-
-    def stop(number: int, frame: FrameType | None) -> None:
-        interrupts.append(number)
-        pool.close()
-        raise KeyboardInterrupt
-
-    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        signal.signal(signal.SIGINT, stop)
-    except ValueError:  # not the main thread, which handles signals itself
-        before = {}
-    try:
-        yield interrupts
-    finally:
-        pool.close()
-        for number, handler in before.items():
-            signal.signal(number, handler)

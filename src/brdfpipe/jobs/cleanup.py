@@ -39,7 +39,7 @@ def forget_failures(results: Path) -> None:
 
 
 def delete_damaged(results: Path, deleted_before: Collection[str]) -> list[str]:
-    """Delete the results that a stage could not read, and the failures that they caused; return the files.
+    """Delete the results that a stage could not read, and the failures that they caused; return the files, those that vanished included.
 
     A file is deleted once in a build: ``deleted_before`` are left alone.
     """
@@ -52,10 +52,10 @@ def delete_damaged(results: Path, deleted_before: Collection[str]) -> list[str]:
     damaged = sorted(
         name
         for name in names - set(deleted_before)
-        if (folder / name).is_file() and (folder / name).resolve().is_relative_to(folder)
+        if not (folder / name).is_dir() and (folder / name).resolve().is_relative_to(folder)
     )
     for name in damaged:
-        (folder / name).unlink()
+        (folder / name).unlink(missing_ok=True)
     if damaged:
         forget_failures(results)
     return damaged

@@ -72,6 +72,16 @@ def of_plans(catalogue: Catalogue) -> Failures:
     return failures
 
 
+def of_vanished_files(catalogue: Catalogue, names: Collection[str]) -> Failures:
+    """Materials of which a raw file has vanished since the catalogue was read."""
+    lost = {name: [file.name for file in catalogue[name].files.values() if not file.exists()] for name in sorted(names)}
+    return {
+        name: {"stage": "check", "message": f"{files[0]}: vanished during the build"}
+        for name, files in lost.items()
+        if files
+    }
+
+
 def of_unwritable_folders(results: Path, catalogue: Catalogue) -> Failures:
     """Materials whose folder of results cannot be written: one of them would stop snakemake for all materials."""
     folders = [

@@ -14,8 +14,10 @@ from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from multiprocessing import forkserver, resource_tracker
 from multiprocessing.connection import Connection, wait
+from pathlib import Path
 
 from brdfpipe.errors import BrdfpipeError
+from brdfpipe.jobs.index import shared_index
 from brdfpipe.jobs.stage import Job, Outcome, perform, record_failure
 
 ONE_THREAD = dict.fromkeys(
@@ -46,8 +48,16 @@ class StageError(BrdfpipeError):
     """A stage failed; its log and its failure record say why."""
 
 
+CRASHES = frozenset({signal.SIGABRT, signal.SIGBUS, signal.SIGFPE, signal.SIGILL, signal.SIGSEGV})
+"""Signals by which a process ends itself: a library met what it cannot handle, as a damaged file. Others come from outside."""
+
+
 class WorkerDied(Exception):
     """The worker process ended while it had a job."""
+
+    def __init__(self, exitcode: int | None) -> None:
+        super().__init__(_cause(exitcode))
+        self.is_crash = exitcode is not None and -exitcode in CRASHES
 
 
 class Pool:
@@ -61,7 +71,7 @@ class Pool:
 
     def perform(self, job: Job) -> Outcome:
         """Run a job in a worker and wait for it; in a new worker if the first is killed."""
-        died = WorkerDied("the pool is closed")
+        died = WorkerDied(None)
         for _ in range(ATTEMPTS):
             worker = self._take()
             try:
@@ -76,9 +86,7 @@ class Pool:
                 self._idle.append(worker)
             break
         else:
-            outcome = Outcome(
-                f"the process was killed {ATTEMPTS} times ({died}); free memory, or build with fewer cores (--cores)"
-            )
+            outcome = _crashed(job, died) if died.is_crash else _killed(died)
         if outcome.error and not self._closed:
             with self._lock:
                 record_failure(job, outcome.error, outcome.damaged)
@@ -124,8 +132,27 @@ class _Worker:
             outcome: Outcome = self._connection.recv()
         except (EOFError, OSError) as error:
             self.process.join(timeout=10)
-            raise WorkerDied(_cause(self.process.exitcode)) from error
+            raise WorkerDied(self.process.exitcode) from error
         return outcome
+
+
+def _killed(died: WorkerDied) -> Outcome:
+    return Outcome(
+        f"the process was killed {ATTEMPTS} times ({died}); free memory, or build with fewer cores (--cores)"
+    )
+
+
+def _crashed(job: Job, died: WorkerDied) -> Outcome:
+    """A library ended the process. Inputs that are not what their jobs wrote are the cause, and can be computed again."""
+    paths = [path for value in job.input.values() for path in ([value] if isinstance(value, str) else value)]
+    damaged = shared_index(Path(job.folder)).damaged(paths)
+    raw = ", ".join(Path(path).name for path in paths if Path(path).is_absolute())
+    found = f"damaged: {', '.join(damaged)}" if damaged else "its inputs from other stages are undamaged"
+    advice = f"; check {raw}" if raw and not damaged else ""
+    return Outcome(
+        f"a library crashed the process {ATTEMPTS} times ({died}); {found}{advice} (see {job.log_name})",
+        damaged=tuple(damaged),
+    )
 
 
 _also_preloaded: set[str] = set()

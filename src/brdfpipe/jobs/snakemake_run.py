@@ -7,7 +7,7 @@ import logging
 import os
 import sys
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
 from typing import Any
@@ -35,9 +35,10 @@ class SnakemakeRun(logging.Handler):
     errors : messages of level error of the last run, each in one line
     """
 
-    def __init__(self, results: Path, dry_run: bool = False) -> None:
+    def __init__(self, results: Path, dry_run: bool = False, on_event: Callable[[], None] = lambda: None) -> None:
+        """``on_event`` is called before each event is handled."""
         super().__init__(logging.INFO)
-        self.results, self.dry_run = results, dry_run
+        self.results, self.dry_run, self._on_event = results, dry_run, on_event
         self.done: list[tuple[str, str]] = []
         self.failed: list[tuple[str, str]] = []
         self.errors: list[str] = []
@@ -81,7 +82,13 @@ class SnakemakeRun(logging.Handler):
             if self._bar is not None:
                 self._bar.close()
 
+    @property
+    def missed_files(self) -> bool:
+        """Whether the last run ended early because an input was missing."""
+        return any("Missing files after" in error or "Missing input files" in error for error in self.errors)
+
     def emit(self, record: logging.LogRecord) -> None:
+        self._on_event()
         event = getattr(getattr(record, "event", None), "name", None)
         if event == "JOB_INFO":
             job = (record.rule_name, dict(record.wildcards).get("material", ""))  # type: ignore[attr-defined]

@@ -17,7 +17,10 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+from brdfpipe import store
+from brdfpipe.catalogue.names import CALIBRATIONS
 from brdfpipe.errors import BrdfpipeError
+from brdfpipe.scenes.scene import FOLDER
 
 Files = Mapping[str, Any]
 """Name → path, or list of paths."""
@@ -47,7 +50,12 @@ class Job:
 
     @property
     def log(self) -> Path:
-        return Path(self.folder, "logs", self.scene, self.material, f"{self.title}.log")
+        return Path(self.folder, self.log_name)
+
+    @property
+    def log_name(self) -> str:
+        """Path of the log in the results folder."""
+        return f"logs/{self.scene}{self.material}/{self.title}.log"
 
     @property
     def params(self) -> dict[str, Any]:
@@ -83,13 +91,14 @@ def perform(job: Job) -> Outcome:
                 warnings.simplefilter("always")
                 for path in _paths(job.output):
                     Path(path).parent.mkdir(parents=True, exist_ok=True)
-                _main(job.script)(job.input, job.output, job.params)
+                with store.owners_checked(_owner):
+                    _main(job.script)(job.input, job.output, job.params)
         except BrdfpipeError as refusal:
             error, damaged = " ".join(str(refusal).split()), _damaged(refusal, job)
             print(f"refused: {error}", file=log)
         except Exception as fault:
             error = f"unexpected {type(fault).__name__}: {_without_folders(' '.join(str(fault).split()), job)}"
-            error += f" (see logs/{job.scene}{job.material}/{job.title}.log)"
+            error += f" (see {job.log_name})"
             traceback.print_exc(file=log)
         outcome = Outcome(error, time.perf_counter() - wall, time.process_time() - cpu, _peak_memory(), damaged)
         for warning in caught:
@@ -102,20 +111,29 @@ def perform(job: Job) -> Outcome:
 
 def _damaged(refusal: BrdfpipeError, job: Job) -> tuple[str, ...]:
     """Inputs that cannot be opened, if the stage refused a stored dataset; raw files, whose paths are absolute, do not count."""
-    from brdfpipe.store import StoreError, open_dataset
-
-    if not isinstance(refusal, StoreError):
+    if not isinstance(refusal, store.StoreError):
         return ()
     damaged = []
     for path in _paths(job.input):
         try:
             if not Path(path).is_absolute():
-                open_dataset(path)
-        except StoreError:
+                with store.owners_checked(_owner):
+                    store.open_dataset(path)
+        except store.StoreError:
             damaged.append(path)
         except BrdfpipeError:
             continue  # whole, but of another kind
     return tuple(damaged)
+
+
+def _owner(path: Path) -> str | None:
+    """The material or calibration whose result a path in the results is; None for a raw file."""
+    if path.is_absolute():
+        return None
+    parts = path.parts[2:] if path.parts[0] == FOLDER else path.parts
+    if parts[0] == CALIBRATIONS and len(parts) > 1:
+        return f"{CALIBRATIONS}.{parts[1].removesuffix('.nc')}"
+    return parts[0] if len(parts) > 1 else None
 
 
 def _paths(files: Files) -> list[str]:
@@ -131,15 +149,13 @@ def _without_folders(message: str, job: Job) -> str:
 
 def record_failure(job: Job, message: str, damaged: tuple[str, ...] = ()) -> None:
     """Record a failed job for the build and the catalogue; if several jobs of a material fail, the alphabetically first one."""
-    from brdfpipe.store import write_text
-
     path = Path(job.folder, "failures", f"{job.material}.json")
     if path.is_file() and json.loads(path.read_text(encoding="utf-8"))["stage"] < job.title:
         return
     record: dict[str, Any] = {"material": job.material, "stage": job.title, "message": message}
     if damaged:
         record["damaged"] = list(damaged)
-    write_text(path, json.dumps(record, ensure_ascii=False) + "\n")
+    store.write_text(path, json.dumps(record, ensure_ascii=False) + "\n")
 
 
 def run_as_script(main: Main) -> None:

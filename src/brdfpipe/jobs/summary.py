@@ -85,7 +85,7 @@ def read_verdicts(folders: Iterable[Path], names: Iterable[str]) -> dict[str, tu
 def notices(folder: Path, deleted: Sequence[str], replaced: Sequence[str], stale: Sequence[str]) -> Iterator[str]:
     """Damaged and changed files that were made anew, results of materials that left the catalogue, ignored folders."""
     if deleted:
-        yield f"{_count(len(deleted), 'damaged file')} deleted and made anew: {', '.join(deleted)}"
+        yield f"{_count(len(deleted), 'damaged or lost file')} made anew: {', '.join(deleted)}"
     if changed := [name for name in replaced if name not in deleted]:
         yield f"{_count(len(changed), 'result')} changed since the build wrote them, and made anew: {_listed(changed)}"
     if stale:
