@@ -144,6 +144,23 @@ def test_opened_datasets_are_read_where_they_are_used(tmp_path, zeroed):
         datasets["surface"]["height"].sum()
 
 
+def test_a_dataset_of_another_material_than_its_place_says_is_refused(tmp_path):
+    path = tmp_path / "grey" / "spectrum.nc"
+    save(samples.spectrum(), path, material="red")
+    store.open_dataset(path)
+    with store.owners_checked(lambda path: path.parent.name):
+        save(samples.spectrum(), tmp_path / "red" / "spectrum.nc", material="red")
+        store.open_dataset(tmp_path / "red" / "spectrum.nc")
+        with pytest.raises(store.StoreError, match="is a dataset of the material red, not of grey"):
+            store.open_dataset(path)
+        with (
+            pytest.raises(store.StoreError, match="is a dataset of the material red, not of grey"),
+            store.opened({"spectrum": path}),
+        ):
+            pass
+    store.open_dataset(path)
+
+
 def test_an_error_of_another_cause_is_not_that_of_an_opened_file(tmp_path):
     path = tmp_path / "a.nc"
     save(samples.spectrum(), path)

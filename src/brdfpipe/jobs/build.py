@@ -25,7 +25,6 @@ from brdfpipe.jobs.snakemake_run import LOG, SnakemakeRun
 from brdfpipe.jobs.summary import Summary
 from brdfpipe.scenes.scene import is_file
 
-
 _REPETITIONS = 3
 """Of a run that ended early because a result vanished."""
 

@@ -214,12 +214,12 @@ class Index:
 
     def _read(self) -> None:
         try:
-            lines = (self.folder / INDEX).read_text(encoding="utf-8").split("\n")
-        except (OSError, UnicodeDecodeError):
+            lines = (self.folder / INDEX).read_text(encoding="utf-8", errors="replace").split("\n")
+        except OSError:
             return
         live: dict[tuple[str, str], str] = {}
         for line in lines:
-            with suppress(ValueError, KeyError, TypeError):  # unfinished or damaged
+            with suppress(ValueError, KeyError, TypeError, AttributeError):  # unfinished or damaged
                 subject = self._take(json.loads(line))
                 live.pop(subject, None)  # later lines stay later
                 live[subject] = line
