@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -199,3 +202,23 @@ def test_an_unchanged_catalogue_is_not_planned(folder: Path, results: Path, monk
         build(folder, results)
     with pytest.raises(AssertionError, match="must not start"):
         build(folder, results)
+
+
+@pytest.mark.parametrize("dry", [True, pytest.param(False, marks=pytest.mark.slow)], ids=["planned", "run"])
+def test_snakemake_by_itself_runs_what_changed_by_its_content(
+    folder: Path, results: Path, project: Path, dry: bool
+) -> None:
+    raw = folder / "first" / "raw.txt"
+    raw.write_text("3 2 1")
+    os.utime(raw, ns=(BEFORE, BEFORE))
+    command = [sys.executable, "-m", "snakemake", "--snakefile", str(project / "Snakefile"), "--profile", "none"]
+    command += ["--workflow-profile", str(project / "workflow" / "profiles" / "default"), "--directory", str(results)]
+    command += ["--cores", "1", "--config", f"catalogue={folder}", *(["--dry-run"] if dry else [])]
+    before = changes(results)
+    done = subprocess.run(command, check=True, capture_output=True, text=True)
+    planned = set(re.findall(r"^Job \d+: (.+)$", done.stdout + done.stderr, re.MULTILINE))
+    assert {f"{stage} of first" for stage in OF_SURFACE} <= planned
+    assert not any(job.endswith("of second") or job == "index of first" for job in planned)
+    assert ("first/report.html" in written_anew(before, results)) is not dry
+    if not dry:
+        assert build(folder, results).jobs == 0

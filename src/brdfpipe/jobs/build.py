@@ -78,12 +78,13 @@ def build(
             if not (dry_run or failed_materials):
                 index.complete(mark, index.files)
         stale = [] if dry_run else cleanup.mark_stale(results, catalogue, failed_materials)
+        replaced = [] if dry_run else sorted(index.replaced)
     touched = {material for _, material in run.done}
     built_materials = [material.name for material in catalogue.materials if material.name not in failed_materials]
     tables = [] if dry_run else [results / one.folder for one in catalogue.scenes]
     verdicts = summary.read_verdicts(tables, built_materials)
     pages = {name: results / catalogue.scene_of(name).folder / name / "report.html" for name in verdicts}
-    notices = summary.notices(catalogue.folder, deleted, sorted(index.replaced), stale)
+    notices = summary.notices(catalogue.folder, deleted, replaced, stale)
     over = () if dry_run else budgets.exceeded(results, catalogue, built_materials)
     reasons = {name: f"{entry['stage']}: {entry['message']}" for name, entry in failed_materials.items()}
     return Summary(
