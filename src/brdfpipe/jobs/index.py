@@ -201,7 +201,8 @@ class Index:
             digest = _file_digest(self.folder / path)
         except InputError:
             return None
-        if now - max(stamp.mtime_ns, stamp.ctime_ns) > SETTLED_NS and stamp == self._stamp(path):
+        settled = now - max(stamp.mtime_ns, stamp.ctime_ns) > SETTLED_NS or digest == self._written.get(path)
+        if settled and stamp == self._stamp(path):
             with self._lock:
                 self._files[path] = stamp, digest
                 self._append({"file": path, "is": [*stamp, digest]})
