@@ -12,6 +12,7 @@ import pytest
 from click.testing import CliRunner, Result
 
 from brdfpipe.cli import main as cli
+from brdfpipe.jobs.index import Index
 from brdfpipe.jobs.summary import Summary
 from brdfpipe.releases.differences import Difference
 
@@ -214,3 +215,64 @@ def test_diff_of_a_folder_without_results_is_one_line_and_exit_2(tmp_path: Path)
     done = run("diff", tmp_path, tmp_path)
     assert done.exit_code == 2
     assert "no results of a catalogue" in done.output
+
+
+@pytest.mark.parametrize(
+    ("verdicts", "fail_on", "code"),
+    [
+        ({"a": "warn"}, None, 0),
+        ({"a": "fail"}, None, 0),
+        ({"a": "pass"}, "warn", 0),
+        ({"a": "warn"}, "warn", 1),
+        ({"a": "warn"}, "fail", 0),
+        ({"a": "fail", "b": "pass"}, "fail", 1),
+        ({"a": "fail"}, "warn", 1),
+        ({}, "warn", 0),
+    ],
+)
+def test_verdicts_change_the_exit_code_on_request(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, verdicts: dict[str, str], fail_on: str | None, code: int
+) -> None:
+    summary = Summary(("a",), (), {}, 3, tmp_path / "index.html", 3.2, verdicts=verdicts)
+    monkeypatch.setattr("brdfpipe.jobs.build.build", lambda *given, **named: summary)
+    assert run("build", tmp_path, *(["--fail-on", fail_on] if fail_on else [])).exit_code == code
+
+
+def test_the_summary_is_printed_as_json_and_given_to_the_notification(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    summary = Summary(("a",), (), {"b": "no file"}, 3, tmp_path / "index.html", 3.2, verdicts={"a": "pass"})
+    monkeypatch.setattr("brdfpipe.jobs.build.build", lambda *given, **named: summary)
+    given: list[tuple[str, str]] = []
+    monkeypatch.setattr("brdfpipe.jobs.notification.notify", lambda command, text: given.append((command, text)))
+    done = run("build", tmp_path, "--json", "--notify", "mail lab")
+    plain = json.loads(done.output)
+    assert (plain["built"], plain["failures"], plain["page"]) == (["a"], {"b": "no file"}, str(tmp_path / "index.html"))
+    assert done.exit_code == 1
+    ((command, text),) = given
+    assert command == "mail lab"
+    assert json.loads(text) == plain
+
+
+def test_prune_lists_and_deletes_what_left(tmp_path: Path) -> None:
+    write(tmp_path / "catalogue", "a")
+    for name in ("a", "left"):
+        (tmp_path / "results" / name).mkdir(parents=True)
+        (tmp_path / "results" / name / "bsdf.nc").touch()
+    listed = run("prune", tmp_path / "catalogue", "--results", tmp_path / "results", "--dry-run")
+    assert listed.output.splitlines() == ["left", "1 folders and files would be deleted, 0.0 MB"]
+    assert (tmp_path / "results" / "left").exists()
+    run("prune", tmp_path / "catalogue", "--results", tmp_path / "results")
+    assert [path.name for path in (tmp_path / "results").glob("[!.]*")] == ["a"]
+
+
+def test_verify_exits_with_1_where_a_file_changed(tmp_path: Path) -> None:
+    index = Index(tmp_path)
+    (tmp_path / "a.nc").write_text("1")
+    index.finish("p", "c", (), ["a.nc"])
+    assert run("verify", tmp_path).exit_code == 0
+    (tmp_path / "a.nc").write_text("2")
+    done = run("verify", tmp_path)
+    assert done.exit_code == 1
+    assert done.output.splitlines()[-1] == f"{tmp_path}: 1 problem"
+    assert run("verify", tmp_path / "a.nc").exit_code == 2

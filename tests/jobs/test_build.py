@@ -15,9 +15,10 @@ import psutil
 import pytest
 from filelock import FileLock
 
+from brdfpipe.catalogue.names import CatalogueError
 from brdfpipe.jobs import cleanup, failures
-from brdfpipe.jobs.build import BuildError
 from brdfpipe.jobs.build import build as build_catalogue
+from brdfpipe.jobs.lock import BuildError
 from brdfpipe.jobs.summary import Summary
 
 Write = Callable[..., Path]
@@ -89,6 +90,27 @@ def test_an_unchanged_catalogue_runs_no_job(folder: Path, results: Path) -> None
     summary = build(folder, results)
     assert (summary.jobs, summary.current) == (0, ("first", "second"))
     assert times(results) == before
+
+
+def test_only_named_materials_are_built_and_the_rest_follows_later(folder: Path, results: Path, write: Write) -> None:
+    write(folder, "bad", raw="refuse")
+    summary = build_catalogue(folder, results, cores=2, names=["fir*"])
+    assert (summary.built, summary.current, summary.failures) == (("first",), (), {})
+    assert summary.page == results / "first" / "report.html"
+    assert not (results / "second").exists()
+    assert not (results / "index.html").exists()
+    again = build_catalogue(folder, results, cores=2, names=["first"])
+    assert (again.jobs, again.current) == (0, ("first",))
+    whole = build(folder, results)
+    assert (whole.built, whole.current, set(whole.failures)) == (("second",), ("first",), {"bad"})
+    assert (results / "index.html").exists()
+    assert set(build_catalogue(folder, results, cores=2, names=["b?d"]).failures) == {"bad"}
+
+
+def test_a_name_that_no_material_has_is_refused_with_the_nearest(folder: Path, results: Path) -> None:
+    with pytest.raises(CatalogueError, match="no material 'frist'; did you mean 'first'"):
+        build_catalogue(folder, results, cores=2, names=["frist"])
+    assert not results.exists()
 
 
 def test_a_refused_material_stops_no_other_and_is_listed(folder: Path, results: Path, write: Write) -> None:

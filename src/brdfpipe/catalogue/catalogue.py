@@ -5,9 +5,10 @@ A material that cannot be built does not stop the others: :attr:`Catalogue.failu
 
 from __future__ import annotations
 
+import fnmatch
 import re
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -60,6 +61,19 @@ class Catalogue:
     def scene_of(self, name: str) -> Scene:
         """The scene of a material; of one whose description cannot be used, that of the catalogue."""
         return self.by_name[name].scene if name in self.by_name else self.scene
+
+    def selected(self, patterns: Sequence[str]) -> frozenset[str]:
+        """Names that match any of some patterns with ``*`` and ``?``, of materials that cannot be built too; all without patterns.
+
+        Raises CatalogueError: nothing matches a pattern.
+        """
+        known = [*self.by_name, *self.failures]
+        matching = {pattern: fnmatch.filter(known, pattern) for pattern in patterns}
+        for pattern, names in matching.items():
+            if not names:
+                hint = documents.nearest(pattern, known)
+                raise CatalogueError(f"{self.folder.name}: no material {pattern!r}{hint}")
+        return frozenset(name for names in matching.values() for name in names) if patterns else frozenset(known)
 
     def spec(self, name: str, stage: str) -> dict[str, Any]:
         """The part of a material's description and of the configuration that a stage depends on."""

@@ -1,4 +1,4 @@
-"""The command line: ``brdfpipe build``, ``check``, ``diff``, ``scenes`` and ``new``; the group ``rig`` is :mod:`brdfpipe.cli.rig`.
+"""The command line: ``brdfpipe build``, ``check``, ``diff``, ``verify``, ``release``, ``prune``, ``scenes`` and ``new``; the group ``rig`` is :mod:`brdfpipe.cli.rig`.
 
 Exit codes: 0 every material was built (or is ok), 1 at least one was not, 2 the command, the catalogue or the configuration
 cannot be used, 130 interrupted, 143 terminated. The verdict of a material's checks does not change the exit code.
@@ -25,6 +25,7 @@ def main() -> None:
 
 @main.command()
 @click.argument("catalogue", type=FOLDER)
+@click.argument("names", nargs=-1, metavar="[NAME]...")
 @click.option("--results", type=FOLDER, default=Path("results"), show_default=True, help="Folder of the results.")
 @click.option(
     "--cores", type=click.IntRange(1), default=None, help="Number of stages at the same time  [default: all cores]"
@@ -37,20 +38,67 @@ def main() -> None:
     help="What the results are for, instead of what the materials and the configuration name.  `brdfpipe scenes` lists them.",
 )
 @click.option("--dry-run", is_flag=True, help="List what would be built; build nothing.")
+@click.option("--json", "as_json", is_flag=True, help="Print the summary as JSON.")
+@click.option(
+    "--fail-on",
+    type=click.Choice(["warn", "fail"]),
+    default=None,
+    help="Exit with 1 also if a material has this verdict or a worse one.",
+)
+@click.option("--notify", default=None, metavar="COMMAND", help="Run afterwards, with the summary (JSON) as its input.")
 @exit_on_error
 def build(
-    catalogue: Path, results: Path, cores: int | None, config: Path | None, scene: str | None, dry_run: bool
+    catalogue: Path,
+    names: tuple[str, ...],
+    results: Path,
+    cores: int | None,
+    config: Path | None,
+    scene: str | None,
+    dry_run: bool,
+    as_json: bool,
+    fail_on: str | None,
+    notify: str | None,
 ) -> int:
-    """Build every material of CATALOGUE that changed, and the catalogue page.
+    """Build every material of CATALOGUE that changed, and the catalogue page; with NAMEs (* and ? match), these materials alone.
 
     Exit code: 0 if every material was built, whatever the verdicts of its checks; 1 if one was not; 2 if the
     catalogue or the configuration cannot be used.
     """
+    import json
+
+    from brdfpipe.jobs import notification
     from brdfpipe.jobs.build import build as build_catalogue
 
-    summary = build_catalogue(catalogue, results, cores=cores or _cores(), config=config, scene=scene, dry_run=dry_run)
-    click.echo(summary.text)
-    return 1 if summary.failures else 0
+    summary = build_catalogue(
+        catalogue, results, cores=cores or _cores(), config=config, scene=scene, names=names, dry_run=dry_run
+    )
+    plain = json.dumps(summary.plain, indent=1, ensure_ascii=False)
+    click.echo(plain if as_json else summary.text)
+    code = 1 if summary.failures or (fail_on and summary.has_verdict(fail_on)) else 0
+    if notify:
+        notification.notify(notify, plain)
+    return code
+
+
+@main.command()
+@click.argument("catalogue", type=FOLDER)
+@click.option("--results", type=FOLDER, default=Path("results"), show_default=True, help="Folder of the results.")
+@click.option("--dry-run", is_flag=True, help="List what would be deleted; delete nothing.")
+@exit_on_error
+def prune(catalogue: Path, results: Path, dry_run: bool) -> int:
+    """Delete the results of materials and calibrations that are no longer in CATALOGUE."""
+    from brdfpipe.catalogue.catalogue import load
+    from brdfpipe.jobs.lock import locked
+    from brdfpipe.jobs.pruning import prune as prune_results
+
+    loaded = load(catalogue)
+    with locked(results):
+        pruned = prune_results(results, loaded, dry_run=dry_run)
+    for path in pruned.paths:
+        click.echo(path)
+    verb = "would be deleted" if dry_run else "deleted"
+    click.echo(f"{len(pruned.paths)} folders and files {verb}, {pruned.size / 1e6:.1f} MB")
+    return 0
 
 
 @main.command()
@@ -143,19 +191,20 @@ def release(catalogue: Path, metadata: Path, results: Path, config: Path | None,
 
 
 @main.command()
-@click.argument("archive", type=FILE)
+@click.argument("results", type=click.Path(path_type=Path, exists=True))
 @exit_on_error
-def verify(archive: Path) -> int:
-    """Compute the digests of all files of ARCHIVE again, which `brdfpipe release` wrote.
+def verify(results: Path) -> int:
+    """Compute the digests of all files of RESULTS again: a folder of results, or an archive of `brdfpipe release`.
 
     Exit code: 1 if a file is damaged, missing or unknown.
     """
-    from brdfpipe.releases.verification import verify_archive
+    from brdfpipe.releases.verification import verify_archive, verify_results
 
-    problems = verify_archive(archive)
+    problems = verify_results(results) if results.is_dir() else verify_archive(results)
     for problem in problems:
         click.echo(problem)
-    click.echo(f"{archive}: {len(problems)} problems" if problems else f"{archive}: every file is as it was written")
+    count = f"{len(problems)} problem{'s' if len(problems) > 1 else ''}"
+    click.echo(f"{results}: {count}" if problems else f"{results}: every file is as it was written")
     return 1 if problems else 0
 
 

@@ -7,30 +7,25 @@ that failed makes the page of the catalogue. Damaged results that a stage could 
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from brdfpipe.catalogue.catalogue import Catalogue, load
 from brdfpipe.catalogue.configuration import load_config
 from brdfpipe.catalogue.names import DESCRIPTION, RESULT_MARKS
-from brdfpipe.errors import BrdfpipeError
 from brdfpipe.jobs import budgets, cleanup, failures, pool, summary
 from brdfpipe.jobs.failures import Failures
 from brdfpipe.jobs.fingerprint import fingerprint
 from brdfpipe.jobs.index import shared_index
 from brdfpipe.jobs.interrupts import Interrupts, interruptible
+from brdfpipe.jobs.lock import BuildError, locked
 from brdfpipe.jobs.snakemake_run import LOG, SnakemakeRun
 from brdfpipe.jobs.summary import Summary
 from brdfpipe.scenes.scene import is_file
 
 _REPETITIONS = 3
 """Of a run that ended early because a result vanished."""
-
-
-class BuildError(BrdfpipeError):
-    """The build as a whole could not be done."""
 
 
 def build(
@@ -40,6 +35,7 @@ def build(
     cores: int,
     config: Path | None = None,
     scene: str | None = None,
+    names: Sequence[str] = (),
     dry_run: bool = False,
 ) -> Summary:
     """Build a catalogue; results that are up to date are left alone.
@@ -51,6 +47,8 @@ def build(
     cores : how many stages run at once
     config : a configuration instead of the project's own
     scene : of all materials, a name or a path, instead of those that the configuration and the materials name
+    names : of the materials to build, with ``*`` and ``?`` as in the names of files; by default all. The page and the table of the
+        catalogue stay as they are if names are given
     dry_run : only list what would run
 
     Raises
@@ -67,7 +65,10 @@ def build(
         snakemake_config["settings"] = str(config.resolve())
     if scene is not None:
         snakemake_config["scene"] = str(Path(scene).resolve()) if is_file(scene) else scene
-    with _locked(results), interruptible(pool.close) as interrupts:
+    selected = catalogue.selected(names)
+    if names:
+        snakemake_config["names"] = sorted(selected)
+    with locked(results), interruptible(pool.close) as interrupts:
         if not dry_run:
             cleanup.remove_leftovers(results, LOG)
         failed_materials = failures.of_unwritable_folders(results, catalogue) | failures.of_plans(catalogue)
@@ -75,12 +76,12 @@ def build(
         mark, deleted = fingerprint(catalogue, results), list[str]()
         if failed_materials or not index.is_complete(mark):
             deleted = _run_until_complete(run, catalogue, snakemake_config, cores, failed_materials, interrupts)
-            if not (dry_run or failed_materials):
+            if not (dry_run or failed_materials or names):
                 index.complete(mark, index.files)
         stale = [] if dry_run else cleanup.mark_stale(results, catalogue, failed_materials)
         replaced = [] if dry_run else sorted(index.replaced)
     touched = {material for _, material in run.done}
-    built_materials = [material.name for material in catalogue.materials if material.name not in failed_materials]
+    built_materials = [name for name in catalogue.by_name if name in selected and name not in failed_materials]
     tables = [] if dry_run else [results / one.folder for one in catalogue.scenes]
     verdicts = summary.read_verdicts(tables, built_materials)
     pages = {name: results / catalogue.scene_of(name).folder / name / "report.html" for name in verdicts}
@@ -90,9 +91,11 @@ def build(
     return Summary(
         built=tuple(name for name in built_materials if name in touched),
         current=tuple(name for name in built_materials if name not in touched),
-        failures={**catalogue.failures, **reasons},
+        failures={name: reason for name, reason in {**catalogue.failures, **reasons}.items() if name in selected},
         jobs=sum(rule != "all" for rule, _ in run.done),
-        page=results / catalogue.scene.folder / "index.html",
+        page=results / catalogue.scene_of(first).folder / first / "report.html"
+        if names and (first := min(selected))
+        else results / catalogue.scene.folder / "index.html",
         seconds=time.perf_counter() - started,
         dry_run=dry_run,
         verdicts={name: verdict for name, (verdict, _) in verdicts.items()},
@@ -164,24 +167,3 @@ def _check_results_folder(results: Path, catalogue: Catalogue) -> None:
             raise BuildError(
                 f"{results}: holds other files ({unexpected_files[0]}) and no results; choose a new or an empty folder"
             )
-
-
-@contextmanager
-def _locked(results: Path) -> Iterator[None]:
-    """Refuse a second build in the folder of results."""
-    from filelock import FileLock, Timeout
-
-    try:
-        results.mkdir(parents=True, exist_ok=True)
-        lock = FileLock(results / ".build.lock", timeout=0)
-        lock.acquire()
-    except Timeout:
-        raise BuildError(
-            f"{results}: another build is running there; wait for it or choose another --results"
-        ) from None
-    except OSError as error:
-        raise BuildError(f"{results}: cannot be written ({error.strerror})") from error
-    try:
-        yield
-    finally:
-        lock.release()

@@ -59,7 +59,8 @@ class Pipeline:
     Parameters
     ----------
     config : snakemake's: ``catalogue`` (folder), optionally ``settings`` (a configuration file), ``scene`` (instead of those that the
-        configuration and the materials name), ``failures`` (material → stage and message, of materials to leave out because a stage failed)
+        configuration and the materials name), ``failures`` (material → stage and message, of materials to leave out because a stage failed),
+        ``names`` (of the only materials to build, without the catalogues of the scenes)
     scripts : folder of the stages' scripts
     """
 
@@ -74,6 +75,7 @@ class Pipeline:
         refused = {**self.catalogue.failures, **unplanned}
         self.failures = {name: {"stage": "check", "message": text} for name, text in refused.items()}
         self.failures |= dict(config.get("failures") or {})
+        self._only = frozenset(config["names"]) if "names" in config else None
         self.names = [material.name for material in self.catalogue.materials if material.name not in self.failures]
         self.scenes_present = scenes_present(Path(), self.catalogue)
         """Scenes with a page in the current folder, that of the results, now or after the build."""
@@ -165,16 +167,19 @@ class Pipeline:
         return f"{CALIBRATIONS}/{previous}.nc" if previous else []
 
     def files(self) -> list[str]:
-        """All results of all materials for their scenes, without the intermediate ones, and the catalogues of these scenes."""
+        """All results of all materials for their scenes, without the intermediate ones, and the catalogues of these scenes.
+
+        Where only some materials are asked for, their results alone.
+        """
         of_materials = [
             pattern.format(scene=material.scene.folder, material=material.name, **job)
-            for material in (self.catalogue[name] for name in self.names)
+            for material in (self.catalogue[name] for name in self.names if self._only is None or name in self._only)
             for stage in STAGES.values()
             if stage.owner_kind == "material" and not stage.intermediate
             for job in stage.jobs(self.subject(material, material.scene))
             for pattern in self._outputs[stage.name]
         ]
-        scenes = self.catalogue.scenes
+        scenes = self.catalogue.scenes if self._only is None else ()
         return [
             pattern.format(scene=scene.folder) for scene in scenes for pattern in self._outputs["catalogue"]
         ] + of_materials

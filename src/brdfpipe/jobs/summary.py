@@ -6,8 +6,9 @@ import csv
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
+from typing import Any
 
 from brdfpipe.catalogue.catalogue import ignored
 from brdfpipe.jobs.cleanup import STALE
@@ -28,7 +29,7 @@ class Summary:
     """Material that could not be built → reason, in one line."""
     jobs: int
     page: Path
-    """Of the catalogue."""
+    """Of the catalogue; of the first material, where only some were built."""
     seconds: float
     dry_run: bool = False
     verdicts: Mapping[str, str] = field(default_factory=dict)
@@ -39,6 +40,18 @@ class Summary:
     """Material → its page, where it has one."""
     notices: tuple[str, ...] = ()
     """Notices for the user that are no failures."""
+
+    @property
+    def plain(self) -> dict[str, Any]:
+        """Plain values, for JSON."""
+        return asdict(self) | {
+            "page": str(self.page),
+            "pages": {name: str(page) for name, page in self.pages.items()},
+        }
+
+    def has_verdict(self, worst: str) -> bool:
+        """Whether a material has the verdict ``fail``, or with ``warn`` any verdict but pass."""
+        return any(verdict == "fail" or verdict == worst for verdict in self.verdicts.values())
 
     @property
     def text(self) -> str:

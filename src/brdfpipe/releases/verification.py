@@ -11,10 +11,15 @@ from typing import Any
 from urllib.parse import unquote
 
 from brdfpipe.errors import BrdfpipeError
+from brdfpipe.jobs.cleanup import STALE
+from brdfpipe.jobs.index import INDEX, Index
 from brdfpipe.releases.metadata import METADATA
 from brdfpipe.surfaces.archives import DAMAGE
 
 _README = "README.txt"
+OWN_FOLDERS = ("logs", "failures", ".snakemake")
+"""Folders of results that hold notes of builds."""
+
 _MOST_METADATA = 2**28
 """Bytes of metadata that are read: some 100 000 files."""
 
@@ -39,6 +44,33 @@ def verify_archive(path: Path) -> list[str]:
         raise BrdfpipeError(f"{path.name}: no zip archive, or damaged ({error}); get the file again") from error
     problems += [f"{name}: is missing" for name in sorted(listed.keys() - set(names))]
     return problems
+
+
+def verify_results(results: Path) -> list[str]:
+    """Problems of a folder of results, one line for each file that is not what its job wrote, is missing, or was written by no job.
+
+    Every file is read whole, also those that no stage reads. `brdfpipe build` makes damaged and missing ones again.
+
+    Raises
+    ------
+    BrdfpipeError : the folder has no index of what a build wrote.
+    """
+    from tqdm import tqdm
+
+    if not (results / INDEX).is_file():
+        raise BrdfpipeError(f"{results}: no results with an index; run `brdfpipe build` first")
+    index = Index(results)
+    written = {path for record in index.jobs.values() for path in record.outputs}
+    problems = []
+    for path in tqdm(sorted(written), unit="file", delay=2.0, disable=None, leave=False):
+        if not (results / path).is_file():
+            problems.append(f"{path}: is missing")
+        elif index.damaged([path]):
+            problems.append(f"{path}: is not what the build wrote")
+    present = {path.relative_to(results) for path in results.rglob("*") if path.is_file()}
+    unknown = {str(path) for path in present if path.parts[0] not in OWN_FOLDERS and not path.name.startswith(".")}
+    unknown = {path for path in unknown if not path.startswith(".") and Path(path).name != STALE}
+    return problems + [f"{path}: was written by no build" for path in sorted(unknown - written)]
 
 
 def _listed(archive: zipfile.ZipFile, path: Path) -> dict[str, Any]:
