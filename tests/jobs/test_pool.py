@@ -10,6 +10,7 @@ import sys
 import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 
 import psutil
@@ -204,3 +205,20 @@ def test_a_progress_bar_in_a_killed_worker_leaves_no_semaphore(tmp_path: Path) -
 )
 def test_the_cause_of_death_is_a_signal_or_an_exit_code(exitcode: int | None, cause: str) -> None:
     assert pool._cause(exitcode) == cause
+
+
+def test_a_job_beyond_its_time_is_ended_once_and_the_pool_goes_on(tmp_path: Path, workers: pool.Pool) -> None:
+    started = time.monotonic()
+    error = workers.perform(replace(job(tmp_path, sleep=60), most_seconds=0.2)).error
+    assert "took more than the limit of 0.2 s; raise `job_limits.seconds`" in str(error)
+    assert time.monotonic() - started < 50
+    assert workers.perform(replace(job(tmp_path), most_seconds=60.0)).error is None
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="other systems do not limit the memory of data")
+def test_a_job_beyond_its_memory_fails_and_the_next_one_has_all(tmp_path: Path, workers: pool.Pool) -> None:
+    large = job(tmp_path, memory=3 * 2**30)
+    error = workers.perform(replace(large, most_memory=1500.0)).error
+    assert "needs more memory than the limit of 1500 MB; raise `job_limits.memory`" in str(error)
+    assert workers.perform(replace(job(tmp_path, memory=2**28), most_memory=1500.0)).error is None
+    assert workers.perform(replace(job(tmp_path, memory=1700 * 2**20))).error is None

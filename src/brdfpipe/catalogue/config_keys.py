@@ -92,6 +92,13 @@ class Comparison(Keys):
     diffuse_u: float = key("relative standard uncertainty of the diffuse reflectance below the facets", ge=0, le=1)
 
 
+class JobLimits(Keys):
+    """What one stage of one material may take; beyond that it fails, and no other material with it."""
+
+    seconds: float = key("wall time", unit="s", gt=0)
+    memory: float = key("memory of the process", unit="MB", ge=1000)
+
+
 class Config(Keys):
     """Settings for all materials of a catalogue."""
 
@@ -119,3 +126,4 @@ class Config(Keys):
     exports: Annotated[list[Annotated[str, OneOf(tuple(FORMATS))]], Items()] = key(
         "files for materials without `exports`; " + EXPORT_WORDS
     )
+    job_limits: JobLimits = key("what one stage of one material may take before it is ended {seconds, memory}")

@@ -52,6 +52,10 @@ CRASHES = frozenset({signal.SIGABRT, signal.SIGBUS, signal.SIGFPE, signal.SIGILL
 """Signals by which a process ends itself: a library met what it cannot handle, as a damaged file. Others come from outside."""
 
 
+class TookTooLong(Exception):
+    """A job reached its limit of time."""
+
+
 class WorkerDied(Exception):
     """The worker process ended while it had a job."""
 
@@ -76,11 +80,13 @@ class Pool:
             worker = self._take()
             try:
                 outcome = worker.perform(job)
+            except TookTooLong:
+                self._end(worker)
+                outcome = _too_long(job)
+                break
             except WorkerDied as death:
                 died = death
-                with self._lock:
-                    self._workers.discard(worker)
-                worker.process.kill()
+                self._end(worker)
                 continue
             with self._lock:
                 self._idle.append(worker)
@@ -100,6 +106,11 @@ class Pool:
             self._idle.clear()
         for worker in workers:
             worker.process.kill()
+
+    def _end(self, worker: _Worker) -> None:
+        with self._lock:
+            self._workers.discard(worker)
+        worker.process.kill()
 
     def _take(self) -> _Worker:
         with self._lock:
@@ -129,11 +140,19 @@ class _Worker:
     def perform(self, job: Job) -> Outcome:
         try:
             self._connection.send(job)
+            if not self._connection.poll(job.most_seconds):
+                raise TookTooLong
             outcome: Outcome = self._connection.recv()
         except (EOFError, OSError) as error:
             self.process.join(timeout=10)
             raise WorkerDied(self.process.exitcode) from error
         return outcome
+
+
+def _too_long(job: Job) -> Outcome:
+    return Outcome(
+        f"took more than the limit of {job.most_seconds:g} s; raise `job_limits.seconds` of the configuration, or give a smaller raw file"
+    )
 
 
 def _killed(died: WorkerDied) -> Outcome:

@@ -301,6 +301,7 @@ class Pipeline:
         """Run the stage of a rule in a worker. Raises StageError: it refused or failed, in one line."""
         stage = STAGES[rule]
         calibration = wildcards.get("calibration")
+        limits = {} if stage.owner_kind == "catalogue" else self.catalogue.config["job_limits"]
         job = Job(
             title=stage.job_title.format(**wildcards),
             material=f"{CALIBRATIONS}.{calibration}" if calibration else wildcards.get("material", stage.owner_kind),
@@ -310,6 +311,8 @@ class Pipeline:
             input=_existing_paths(input),
             output=_existing_paths(output),
             spec=json.loads(params.spec),
+            most_seconds=limits.get("seconds"),
+            most_memory=limits.get("memory"),
         )
         index, inputs, outputs = shared_index(Path.cwd()), list(map(str, input)), list(map(str, output))
         read = index.inputs(inputs)

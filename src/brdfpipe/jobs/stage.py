@@ -11,7 +11,7 @@ import time
 import traceback
 import warnings
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -43,6 +43,10 @@ class Job:
     spec: Mapping[str, Any]
     scene: str = ""
     """Folder of a scene in the results, with a slash at its end; empty for the default scene and for what all scenes share."""
+    most_seconds: float | None = None
+    """Wall time after which the job is ended; None: no limit."""
+    most_memory: float | None = None
+    """Memory of the process, MB; None: no limit."""
 
     @property
     def description(self) -> str:
@@ -91,11 +95,19 @@ def perform(job: Job) -> Outcome:
                 warnings.simplefilter("always")
                 for path in _paths(job.output):
                     Path(path).parent.mkdir(parents=True, exist_ok=True)
-                with store.owners_checked(_owner):
+                with store.owners_checked(_owner), _limited_memory(job.most_memory):
                     _main(job.script)(job.input, job.output, job.params)
         except BrdfpipeError as refusal:
             error, damaged = " ".join(str(refusal).split()), _damaged(refusal, job)
             print(f"refused: {error}", file=log)
+        except MemoryError:
+            error = (
+                f"needs more memory than the limit of {job.most_memory:g} MB; raise `job_limits.memory` of the configuration, "
+                "or give a smaller raw file"
+                if job.most_memory
+                else "the memory is exhausted; free some, or build with fewer cores (--cores)"
+            )
+            traceback.print_exc(file=log)
         except Exception as fault:
             error = f"unexpected {type(fault).__name__}: {_without_folders(' '.join(str(fault).split()), job)}"
             error += f" (see {job.log_name})"
@@ -107,6 +119,27 @@ def perform(job: Job) -> Outcome:
         print(f"{outcome.wall:.3f} s, {outcome.cpu:.3f} s of processor, at most {outcome.peak:.0f} MB", file=log)
     _record_time(job, outcome)
     return outcome
+
+
+@contextmanager
+def _limited_memory(most: float | None) -> Iterator[None]:
+    """Let allocations beyond a limit [MB] raise MemoryError. Of shared and mapped memory nothing counts; without effect where the
+    system knows no such limit."""
+    try:
+        import resource
+    except ImportError:  # not on Windows
+        most = None
+    if most is None:
+        yield
+        return
+    before = resource.getrlimit(resource.RLIMIT_DATA)
+    with suppress(ValueError, OSError):
+        resource.setrlimit(resource.RLIMIT_DATA, (int(most * 2**20), before[1]))
+    try:
+        yield
+    finally:
+        with suppress(ValueError, OSError):
+            resource.setrlimit(resource.RLIMIT_DATA, before)
 
 
 def _damaged(refusal: BrdfpipeError, job: Job) -> tuple[str, ...]:
