@@ -21,7 +21,7 @@ CHANGED = Difference(
 
 
 def test_a_material_has_one_line_and_its_causes_below() -> None:
-    text = lines([CHANGED, Difference("grey", "", "unchanged"), Difference("new", "", "added")])
+    text = lines([CHANGED, Difference("grey", "", "unchanged"), Difference("new", "", "added", built=(False, True))])
     assert text == [
         "catalogue: 1 changed, 1 added, 0 removed, 1 unchanged",
         "  black: ΔE00 1.23; gloss_60 21.43 → 23.1; BRDF 2.13% rms, 5.00% at the 95th percentile; verdict pass → warn; 1 further quantity differs",
@@ -39,3 +39,8 @@ def test_plain_values_are_json_without_unchanged_materials() -> None:
     (entry,) = json.loads(json.dumps(plain([CHANGED, Difference("grey", "", "unchanged")])))
     assert entry["quantities"]["gloss_60"] == [21.43, 23.1]
     assert entry["causes"][0]["kind"] == "key"
+
+
+def test_a_new_material_that_fails_says_why() -> None:
+    broken = Difference("black", "", "added", built=(False, False), failure="surface: no unit")
+    assert lines([broken])[1] == "  black: added, not built: surface: no unit"

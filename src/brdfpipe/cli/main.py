@@ -146,22 +146,34 @@ def check(catalogue: Path, config: Path | None, scene: str | None) -> int:
 
 
 @main.command()
-@click.argument("old", type=FOLDER)
+@click.argument("older", type=FOLDER, nargs=-1, metavar="[EARLIER]... OLD")
 @click.argument("new", type=FOLDER)
 @click.option("--json", "as_json", is_flag=True, help="Print all figures as JSON instead of lines.")
+@click.option("--html", type=click.Path(path_type=Path, dir_okay=False), default=None, help="Also write a page.")
 @exit_on_error
-def diff(old: Path, new: Path, as_json: bool) -> int:
+def diff(older: tuple[Path, ...], new: Path, as_json: bool, html: Path | None) -> int:
     """Report what changed from the results OLD to the results NEW, and why.
+
+    EARLIER results, the oldest first, are for the charts of the page alone.
 
     For each material: the difference of its colour (ΔE00), gloss, BRDF and verdict, and the raw files, keys, versions
     of libraries or code that caused it.
     """
     import json
 
+    from brdfpipe import store
     from brdfpipe.releases import words
     from brdfpipe.releases.differences import differences
 
-    found = differences(old, new)
+    if not older:
+        raise click.UsageError("two folders of results are needed, the older one first")
+    found = differences(older[-1], new)
+    if html is not None:
+        from brdfpipe.releases.history import histories
+        from brdfpipe.releases.page import changes_page
+
+        folders = [*older, new]
+        store.write_text(html, changes_page(found, histories(folders), [folder.resolve().name for folder in folders]))
     text = json.dumps(words.plain(found), indent=1, ensure_ascii=False) if as_json else "\n".join(words.lines(found))
     click.echo(text)
     return 0

@@ -66,7 +66,7 @@ def differences(old: Path, new: Path) -> list[Difference]:
     ------
     BrdfpipeError : a folder holds no results, or the two have no scene in common.
     """
-    scenes = [_scene_folders(folder) for folder in (old, new)]
+    scenes = [scene_folders(folder) for folder in (old, new)]
     if not set(scenes[0]) & set(scenes[1]):
         words = [", ".join(scene or "catalogue" for scene in found) for found in scenes]
         raise BrdfpipeError(f"no scene in common: {old} has {words[0]}, {new} has {words[1]}; build the same scene")
@@ -74,11 +74,11 @@ def differences(old: Path, new: Path) -> list[Difference]:
         difference
         for scene in scenes[1]
         if scene in scenes[0]
-        for difference in _of_scene(_Release(old, scene), _Release(new, scene))
+        for difference in _of_scene(Release(old, scene), Release(new, scene))
     ]
 
 
-def _scene_folders(results: Path) -> list[str]:
+def scene_folders(results: Path) -> list[str]:
     """Folders of the scenes in relation to the results, the default one first, as ``""``. Raises BrdfpipeError: there are none."""
     tables = [results / "catalogue.nc", *sorted((results / "scenes").glob("*/catalogue.nc"))]
     folders = [table.parent.relative_to(results) for table in tables if table.is_file()]
@@ -87,7 +87,7 @@ def _scene_folders(results: Path) -> list[str]:
     return ["" if folder == Path() else str(folder) for folder in folders]
 
 
-class _Release:
+class Release:
     """The results of one scene of one build."""
 
     def __init__(self, results: Path, scene_folder: str) -> None:
@@ -114,7 +114,7 @@ class _Release:
         return own if own.is_file() else self.results / name / "bsdf.nc"
 
 
-def _of_scene(old: _Release, new: _Release) -> Iterator[Difference]:
+def _of_scene(old: Release, new: Release) -> Iterator[Difference]:
     from tqdm import tqdm
 
     scene = Path(new.scene_folder).name
@@ -134,7 +134,7 @@ def _of_scene(old: _Release, new: _Release) -> Iterator[Difference]:
             yield _of_material(name, scene, old, new)
 
 
-def _of_material(name: str, scene: str, old: _Release, new: _Release) -> Difference:
+def _of_material(name: str, scene: str, old: Release, new: Release) -> Difference:
     before, after = old.rows[name], new.rows[name]
     brdf: dict[str, float] = {}
     found: tuple[Cause, ...] = ()

@@ -22,7 +22,7 @@ def lines(differences: Sequence[Difference]) -> list[str]:
         text.append(f"{scene or 'catalogue'}: {listed}")
         for item in of_scene:
             if item.status != UNCHANGED:
-                text.append(f"  {item.material}: {'; '.join(_findings(item)) or 'no quantity of the table differs'}")
+                text.append(f"  {item.material}: {'; '.join(findings(item)) or 'no quantity of the table differs'}")
                 text += [f"    {cause.kind} ({cause.stage or 'material'}): {cause.text}" for cause in item.causes]
     return text
 
@@ -32,9 +32,10 @@ def plain(differences: Sequence[Difference]) -> list[dict[str, Any]]:
     return [asdict(item) for item in differences if item.status != UNCHANGED]
 
 
-def _findings(item: Difference) -> Iterator[str]:
+def findings(item: Difference) -> Iterator[str]:
+    """What changed for a material, in short phrases."""
     if item.status != CHANGED:
-        yield item.status if all(item.built) or item.status == REMOVED else f"{item.status}, not built: {item.failure}"
+        yield item.status if item.built[1] or item.status == REMOVED else f"{item.status}, not built: {item.failure}"
         return
     if item.built == (True, False):
         yield f"not built any more: {item.failure}"
