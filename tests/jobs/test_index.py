@@ -88,8 +88,9 @@ def test_a_result_is_intact_while_it_is_what_its_job_wrote(folder: Path) -> None
 
 def test_a_build_is_complete_until_a_file_or_the_fingerprint_changes_or_a_job_starts(folder: Path) -> None:
     index = Index(folder)
+    index.finish("p", "c", (), ["m/a.nc"])
     assert not index.is_complete("f")
-    index.complete("f", ["m/a.nc", "m/absent.nc"])
+    index.complete("f", dict.fromkeys(["m/a.nc", "m/absent.nc"]))
     assert Index(folder).is_complete("f")
     assert not Index(folder).is_complete("g")
     write(folder / "m" / "a.nc", "two")
@@ -99,6 +100,21 @@ def test_a_build_is_complete_until_a_file_or_the_fingerprint_changes_or_a_job_st
     assert Index(folder).is_complete("f")
     Index(folder).start(["m/b.nc"])
     assert not Index(folder).is_complete("f")
+
+
+def test_a_build_is_not_complete_where_a_result_has_no_job_or_a_raw_file_changed(folder: Path, tmp_path: Path) -> None:
+    index, raw = Index(folder), tmp_path / "raw.txt"
+    raw.write_text("1")
+    planned = {str(raw): index.digest(str(raw))}
+    index.complete("f", {**planned, "m/a.nc": None})
+    assert not index.is_complete("f")
+    index.finish("p", "c", (), ["m/a.nc"])
+    raw.write_text("2")
+    index.complete("f", {**planned, "m/a.nc": None})
+    assert not index.is_complete("f")
+    raw.write_text("1")
+    index.complete("f", {**planned, "m/a.nc": None})
+    assert index.is_complete("f")
 
 
 @pytest.mark.parametrize("damage", [b'{"job":"m/a', b"\xff\xfe", b"[1]\n", b'{"file":"m/a.nc","is":[1]}\n', b"\n"])

@@ -9,11 +9,15 @@ import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from brdfpipe.jobs.build import build as build_catalogue
 from brdfpipe.jobs.index import INDEX
+from brdfpipe.jobs.pool import Pool
+from brdfpipe.jobs.snakemake_run import SnakemakeRun
+from brdfpipe.jobs.stage import Job, Outcome
 from brdfpipe.jobs.summary import Summary
 
 Write = Callable[..., Path]
@@ -222,3 +226,31 @@ def test_snakemake_by_itself_runs_what_changed_by_its_content(
     assert ("first/report.html" in written_anew(before, results)) is not dry
     if not dry:
         assert build(folder, results).jobs == 0
+
+
+@pytest.mark.parametrize("moment", ["during the job", "after the job"])
+def test_a_raw_file_that_changes_during_the_build_is_read_by_the_next_one(
+    project: Path, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, moment: str
+) -> None:
+    raw, results = folder / "first" / "raw.txt", tmp_path / "results"
+    perform, start = Pool.perform, SnakemakeRun.start
+
+    def perform_and_change(pool: Pool, job: Job) -> Outcome:
+        outcome = perform(pool, job)
+        if (job.material, job.title) == ("first", "surface"):
+            raw.write_text("3 2 1")
+        return outcome
+
+    def start_and_change(run: SnakemakeRun, *arguments: Any) -> bool:
+        succeeded = start(run, *arguments)
+        raw.write_text("3 2 1")
+        return succeeded
+
+    with monkeypatch.context() as changed:
+        if moment == "during the job":
+            changed.setattr(Pool, "perform", perform_and_change)
+        else:
+            changed.setattr(SnakemakeRun, "start", start_and_change)
+        build(folder, results)
+    assert build(folder, results).built == ("first",)
+    assert build(folder, results).jobs == 0

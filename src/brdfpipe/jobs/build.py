@@ -77,7 +77,7 @@ def build(
         if failed_materials or not index.is_complete(mark):
             deleted = _run_until_complete(run, catalogue, snakemake_config, cores, failed_materials, interrupts)
             if not (dry_run or failed_materials or names):
-                index.complete(mark, index.files)
+                index.complete(mark, index.examined)
         stale = [] if dry_run else cleanup.mark_stale(results, catalogue, failed_materials)
         replaced = [] if dry_run else sorted(index.replaced)
     touched = {material for _, material in run.done}

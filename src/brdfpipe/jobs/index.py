@@ -79,8 +79,8 @@ class Index:
         self._root = str(self.folder)
         self.jobs: dict[str, Record] = {}
         """By the first output."""
-        self.files: tuple[str, ...] = ()
-        """Results and raw files of the build, if they have been examined."""
+        self.examined: Mapping[str, str | None] = {}
+        """Results and raw files of the build → digest of the content when it was planned; empty if nothing was planned."""
         self.replaced: set[str] = set()
         """Results of which the build found that they are not what their jobs wrote."""
         self._completed: Completed | None = None
@@ -164,8 +164,14 @@ class Index:
             self.jobs[outputs[0]] = record
             self._append(line)
 
-    def complete(self, fingerprint: str, files: Iterable[str]) -> None:
-        """Record a build without failures: the fingerprint of all that it depended on, and its files."""
+    def complete(self, fingerprint: str, files: Mapping[str, str | None]) -> None:
+        """Record a build without failures: the fingerprint of all that it depended on, and its files.
+
+        Nothing is recorded if a raw file is not what it was when the build was planned, ``files``, or a result not what its job wrote:
+        the next build compares the jobs one by one.
+        """
+        if any(self.digest(path) not in self._expected(path, planned) for path, planned in files.items()):
+            return
         present = tuple(path for path in files if self.digest(path))
         completed = Completed(fingerprint, present, self._content(present))
         with self._lock:
@@ -176,6 +182,10 @@ class Index:
         """Whether nothing changed since the last build without failures."""
         last = self._completed
         return last is not None and last.fingerprint == fingerprint and last.content == self._content(last.files)
+
+    def _expected(self, path: str, planned: str | None) -> tuple[str | None, ...]:
+        """Contents that a file may have at the end of a build without failures; a result that only other jobs need may be absent."""
+        return (planned,) if os.path.isabs(path) else (self._written.get(path), None)  # noqa: PTH117 - as in _stamp
 
     def _content(self, files: Sequence[str]) -> str:
         return digest_of([self.digest(path) for path in files])

@@ -49,7 +49,7 @@ def force_stale(pipeline: Pipeline, workflow: Any) -> None:
                 index.touch(path, time_ns)
     workflow.dag.forcefiles.update(examination.stale)
     workflow.dag.check_output_mtime = _accept_any_time
-    index.files = tuple(examination.files)
+    index.examined = {path: index.digest(path) for path in examination.files}
     index.replaced.update(examination.replaced)
 
 
