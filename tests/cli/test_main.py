@@ -9,6 +9,7 @@ from importlib.metadata import version
 from pathlib import Path
 
 import pytest
+import xarray as xr
 from click.testing import CliRunner, Result
 
 from brdfpipe.cli import main as cli
@@ -256,9 +257,12 @@ def test_the_summary_is_printed_as_json_and_given_to_the_notification(
 
 def test_prune_lists_and_deletes_what_left(tmp_path: Path) -> None:
     write(tmp_path / "catalogue", "a")
+    (tmp_path / "results" / ".snakemake").mkdir(parents=True)
     for name in ("a", "left"):
-        (tmp_path / "results" / name).mkdir(parents=True)
-        (tmp_path / "results" / name / "bsdf.nc").touch()
+        (tmp_path / "results" / name).mkdir()
+        xr.Dataset(attrs={"material": name}).to_netcdf(tmp_path / "results" / name / "bsdf.nc")
+    assert run("prune", tmp_path / "catalogue", "--results", tmp_path / "mistyped").exit_code == 2
+    assert not (tmp_path / "mistyped").exists()
     listed = run("prune", tmp_path / "catalogue", "--results", tmp_path / "results", "--dry-run")
     assert listed.output.splitlines() == ["left", "1 folders and files would be deleted, 0.0 MB"]
     assert (tmp_path / "results" / "left").exists()

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import pytest
+import xarray as xr
 
 from brdfpipe.catalogue.catalogue import load
+from brdfpipe.catalogue.names import LOCK
 from brdfpipe.errors import BrdfpipeError
 from brdfpipe.jobs.pruning import prune
 
@@ -32,7 +35,14 @@ def folders(tmp_path: Path) -> tuple[Path, Path]:
     ):
         (results / path).parent.mkdir(parents=True, exist_ok=True)
         (results / path).write_text("12345678")
+        if path.endswith("/bsdf.nc"):
+            dataset(results / path, (results / path).parent.name)
     return catalogue, results
+
+
+def dataset(path: Path, material: str) -> None:
+    """A stored dataset of a material."""
+    xr.Dataset(attrs={"material": material}).to_netcdf(path)
 
 
 def files(folder: Path) -> set[str]:
@@ -51,11 +61,11 @@ LEFT = {
 
 def test_only_what_left_the_catalogue_is_deleted(folders: tuple[Path, Path]) -> None:
     catalogue, results = folders
-    before = files(results)
+    before, size = files(results), sum((results / name).stat().st_size for name in LEFT)
     pruned = prune(results, load(catalogue))
     assert before - files(results) == LEFT
     assert files(results) <= before
-    assert pruned.size == 8 * len(LEFT)
+    assert pruned.size == size
     assert prune(results, load(catalogue)).paths == ()
 
 
@@ -83,3 +93,22 @@ def test_links_are_neither_followed_nor_deleted(folders: tuple[Path, Path], tmp_
     prune(results, load(catalogue))
     assert (tmp_path / "elsewhere" / "bsdf.nc").read_text() == "precious"
     assert (results / "linked").is_symlink()
+
+
+def test_raw_files_are_not_taken_for_results(folders: tuple[Path, Path], tmp_path: Path) -> None:
+    raw = tmp_path / "raw"
+    for path in ("calibrations/bench-0/counts.txt", "stays/scan.nc", "measured/scan.nc"):
+        (raw / path).parent.mkdir(parents=True)
+        (raw / path).write_text("precious")
+    (raw / LOCK).touch()  # as prune itself leaves it
+    before = files(raw)
+    with pytest.raises(BrdfpipeError, match="give the folder of the results"):
+        prune(raw, load(folders[0]))
+    assert files(raw) == before
+
+
+def test_a_copy_of_results_under_another_name_is_left_alone(folders: tuple[Path, Path]) -> None:
+    catalogue, results = folders
+    shutil.copytree(results / "stays", results / "stays-before")
+    prune(results, load(catalogue))
+    assert (results / "stays-before" / "bsdf.nc").exists()

@@ -19,7 +19,10 @@ RESERVED = frozenset(
 )
 """Names with another meaning in the folder of results."""
 
-RESULT_MARKS = (".build.lock", ".snakemake", "catalogue.nc")
+LOCK = ".build.lock"
+"""File by which a command keeps others out of a folder of results."""
+
+RESULT_MARKS = (LOCK, ".snakemake", "catalogue.nc")
 """Files that identify a folder of results."""
 
 

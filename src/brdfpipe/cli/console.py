@@ -16,6 +16,7 @@ from brdfpipe.jobs.interrupts import Terminated
 Arguments = ParamSpec("Arguments")
 
 FOLDER = click.Path(path_type=Path, file_okay=False)
+PRESENT = click.Path(path_type=Path, file_okay=False, exists=True)
 FILE = click.Path(path_type=Path, dir_okay=False, exists=True)
 
 

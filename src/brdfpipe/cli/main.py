@@ -12,7 +12,7 @@ from pathlib import Path
 
 import click
 
-from brdfpipe.cli.console import FILE, FOLDER, exit_on_error
+from brdfpipe.cli.console import FILE, FOLDER, PRESENT, exit_on_error
 from brdfpipe.cli.rig import rig
 from brdfpipe.errors import BrdfpipeError
 
@@ -82,7 +82,7 @@ def build(
 
 @main.command()
 @click.argument("catalogue", type=FOLDER)
-@click.option("--results", type=FOLDER, default=Path("results"), show_default=True, help="Folder of the results.")
+@click.option("--results", type=PRESENT, default=Path("results"), show_default=True, help="Folder of the results.")
 @click.option("--dry-run", is_flag=True, help="List what would be deleted; delete nothing.")
 @exit_on_error
 def prune(catalogue: Path, results: Path, dry_run: bool) -> int:

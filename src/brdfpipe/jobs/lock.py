@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from brdfpipe.catalogue.names import LOCK
 from brdfpipe.errors import BrdfpipeError
 
 
@@ -25,7 +26,7 @@ def locked(results: Path) -> Iterator[None]:
 
     try:
         results.mkdir(parents=True, exist_ok=True)
-        lock = FileLock(results / ".build.lock", timeout=0)
+        lock = FileLock(results / LOCK, timeout=0)
         lock.acquire()
     except Timeout:
         raise BuildError(

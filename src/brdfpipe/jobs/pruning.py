@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from brdfpipe.catalogue.catalogue import Catalogue
-from brdfpipe.catalogue.names import CALIBRATIONS
+from brdfpipe.catalogue.names import CALIBRATIONS, LOCK, RESULT_MARKS
 from brdfpipe.descriptions.keys import NAME
 from brdfpipe.errors import BrdfpipeError
 from brdfpipe.jobs.cleanup import folders_of_materials
@@ -28,7 +28,8 @@ class Pruned:
 def prune(results: Path, catalogue: Catalogue, *, dry_run: bool = False) -> Pruned:
     """Delete the results of materials and calibrations that left the catalogue, in all scenes, and their logs.
 
-    Results of materials that cannot be built now stay, and so do those of other scenes. Links are not followed and not deleted.
+    Results of materials that cannot be built now stay, and so do those of other scenes and copies under other names. Links are not
+    followed and not deleted.
 
     Parameters
     ----------
@@ -38,9 +39,11 @@ def prune(results: Path, catalogue: Catalogue, *, dry_run: bool = False) -> Prun
 
     Raises
     ------
-    BrdfpipeError : no material of the catalogue has results there: it is probably another catalogue.
+    BrdfpipeError : it is no folder of results, or no material of the catalogue has results there: it is probably another catalogue.
     OSError : a folder cannot be deleted.
     """
+    if not any((results / mark).exists() for mark in RESULT_MARKS if mark != LOCK):
+        raise BrdfpipeError(f"{results}: no build wrote results there; give the folder of the results")
     known = catalogue.by_name.keys() | catalogue.failures.keys()
     present = [path for _, path in folders_of_materials(results) if _is_result(path)]
     if present and not any(path.name in known for path in present):
@@ -65,8 +68,19 @@ def prune(results: Path, catalogue: Catalogue, *, dry_run: bool = False) -> Prun
 
 
 def _is_result(folder: Path) -> bool:
-    """Whether a folder has a name of a material and holds datasets."""
-    return bool(re.fullmatch(NAME, folder.name)) and any(folder.glob("*.nc"))
+    """Whether a folder has a name of a material and holds a dataset of it."""
+    return bool(re.fullmatch(NAME, folder.name)) and any(_material(path) == folder.name for path in folder.glob("*.nc"))
+
+
+def _material(path: Path) -> str | None:
+    """The material of a stored dataset; None of another file."""
+    import netCDF4
+
+    try:
+        with netCDF4.Dataset(path) as stored:
+            return str(stored.getncattr("material"))
+    except (OSError, RuntimeError, AttributeError):
+        return None
 
 
 def _has_left(path: Path, catalogue: Catalogue) -> bool:
