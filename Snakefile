@@ -1,5 +1,6 @@
 from pathlib import Path
 
+from brdfpipe.jobs import cluster
 from brdfpipe.jobs.rules import Pipeline
 from brdfpipe.jobs.staleness import force_stale
 from brdfpipe.stages import EXPORTS
@@ -36,7 +37,14 @@ include: "workflow/rules/catalogue.smk"
 
 
 pipeline.declare_stage_properties(workflow)
-pipeline.before_planning(lambda pipeline: force_stale(pipeline, workflow))
+
+
+def before_planning(pipeline):
+    cluster.prepare_node(workflow)
+    force_stale(pipeline, workflow)
+
+
+pipeline.before_planning(before_planning)
 
 
 rule all:

@@ -156,8 +156,10 @@ class Stage:
     """Another stage in whose place its result is read, where a scene has this one instead."""
     intermediate: bool = False
     """Whether the result may be deleted: it is made again only when another stage that needs it runs."""
-    memory: int = 500
-    """Largest memory of a job, MB."""
+    memory: int = 1000
+    """Largest memory of a job, MB; workers hold libraries and what earlier stages left, 900 MB in a build of 100 materials."""
+    minutes: int = 0
+    """Longest time of a job on a busy core, for schedulers of clusters; 0: seconds."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "job_title", self.job_title or self.name)
@@ -626,6 +628,7 @@ _STAGES = (
         keys=StageKeys(("model",), (), _wave_model),
         kind="bsdf",
         of_prediction=True,
+        minutes=1,
     ),
     Stage(
         "reference",
@@ -634,6 +637,7 @@ _STAGES = (
         keys=StageKeys(("model.diffuse",), (), _base_of_reference),
         kind="bsdf",
         of_prediction=True,
+        minutes=1,
     ),
     Stage(
         "model_error",
@@ -674,8 +678,8 @@ _STAGES = (
         when=_has("rig"),
         keys=_block("rig", EmulatedRig.read_by("rig_run")),
         intermediate=True,
-        memory=1000,
         kind="",
+        minutes=1,
     ),
     Stage(
         "calibration_run",
@@ -685,8 +689,8 @@ _STAGES = (
         owner_kind="calibration",
         job_title="rig_run",
         intermediate=True,
-        memory=1000,
         kind="",
+        minutes=1,
     ),
     Stage(
         "reduced",
@@ -696,7 +700,6 @@ _STAGES = (
         instances=_arrangements("sample"),
         job_title="reduced-{load}-{side}-{incidence}",
         intermediate=True,
-        memory=1000,
     ),
     Stage(
         "calibration_reduced",
@@ -708,7 +711,6 @@ _STAGES = (
         job_title="reduced-{load}-{side}-{incidence}",
         reported=False,
         intermediate=True,
-        memory=1000,
     ),
     Stage(
         "primary",
@@ -781,12 +783,14 @@ _STAGES = (
         keys=StageKeys(
             (), ("illuminant", "observer", "gloss_angles", "appearance"), lambda subject, _: _appearance(subject)
         ),
+        minutes=1,
     ),
     Stage(
         "preview",
         "a picture of the material",
         when=_enabled("preview") & _asked("preview"),
         keys=_config_keys(illuminant="illuminant", light="preview_light"),
+        minutes=1,
     ),
     Stage(
         "table",
@@ -797,6 +801,7 @@ _STAGES = (
         ),
         keys=_config_block("table"),
         kind="bsdf",
+        minutes=1,
     ),
     Stage(
         "lambert_gauss",
@@ -819,7 +824,14 @@ _STAGES = (
         keys=StageKeys(("description", "accept"), (), _row_parameters),
         kind="",
     ),
-    Stage("catalogue", "the catalogue: page, table, dataset and digests", owner_kind="catalogue", kind=""),
+    Stage(
+        "catalogue",
+        "the catalogue: page, table, dataset and digests",
+        owner_kind="catalogue",
+        kind="",
+        memory=2000,
+        minutes=30,
+    ),
 )
 
 STAGES: Mapping[str, Stage] = {stage.name: stage for stage in _STAGES}

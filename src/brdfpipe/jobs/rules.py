@@ -13,7 +13,7 @@ from brdfpipe.catalogue.catalogue import Catalogue, load
 from brdfpipe.catalogue.configuration import load_config
 from brdfpipe.catalogue.material import Material
 from brdfpipe.catalogue.names import CALIBRATIONS, CatalogueError
-from brdfpipe.jobs import code, pool
+from brdfpipe.jobs import cluster, code, pool
 from brdfpipe.jobs.index import digest_of, shared_index
 from brdfpipe.jobs.runs import planned_runs, results_folder
 from brdfpipe.jobs.stage import Job
@@ -263,7 +263,9 @@ class Pipeline:
             rule.set_params(spec=self.spec(stage))
             self._inputs[stage.name] = [_function_of(item) or str(item) for item in rule.input]
             rule.message = f"{stage.job_title} of {owner}".replace("{", "{wildcards.")
-            rule.resources["mem_mb"] = stage.memory
+            rule.resources["mem_mb"] = _times_attempt(stage.memory)
+            rule.resources["runtime"] = _times_attempt(stage.minutes)
+            rule.group = cluster.GROUPS.get(stage.owner_kind)
 
     def before_planning(self, action: Callable[[Pipeline], None]) -> None:
         """Call a function before snakemake decides which jobs run: when it asks for the first input files."""
@@ -395,6 +397,11 @@ def _function_of(item: Any) -> InputFunction | None:
 def _flagged(item: Any) -> Any:
     """Snakemake's object with the flags of an input, which other objects may hold."""
     return getattr(item, "_file", item)
+
+
+def _times_attempt(value: int) -> Callable[[Any, int], int]:
+    """A resource of which each retry has as much more as the first attempt had."""
+    return lambda wildcards, attempt: value * attempt
 
 
 def _existing_paths(files: Any) -> dict[str, str | list[str]]:

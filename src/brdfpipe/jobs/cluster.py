@@ -1,0 +1,23 @@
+"""What a run of snakemake on the node of a cluster needs beside what snakemake hands on to it.
+
+A group job of a scheduler is a snakemake of its own, which gets no profile. So it is told here what the default profile says.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+GROUPS = {"material": "materials", "calibration": "calibrations"}
+"""Group of the stages, by the owner of their results: profiles say how many materials one job of the scheduler builds (``group-components``).
+
+Materials share calibrations; in one group with them, all materials of a rig would be one job of the scheduler.
+"""
+
+
+def prepare_node(workflow: Any) -> None:
+    """Change the settings of a run on a node, before it plans; without effect elsewhere."""
+    if workflow.remote_exec:
+        settings = workflow.execution_settings
+        settings.use_threads = True  # else each stage would start a snakemake; now they share the warm workers of one pool
+        settings.no_hooks = False  # the hook at the start preloads what the workers need
+        settings.keep_going = True  # one bad material never stops the others of its group
