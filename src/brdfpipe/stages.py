@@ -489,6 +489,8 @@ class Export(NamedTuple):
             script="export",
             modules=(self.format.module,),
             kind="",
+            memory=1500,
+            minutes=1,
         )
 
 
@@ -736,6 +738,7 @@ _STAGES = (
         keys=_block("rig", EmulatedCalibration.read_by("calibration")),
         owner_kind="calibration",
         intermediate=True,
+        minutes=1,
     ),
     Stage("measured", "the measured BSDF, completed to all directions", when=_has("rig"), kind="bsdf", reported=False),
     Stage(
@@ -817,12 +820,14 @@ _STAGES = (
         when=_asked("page"),
         keys=StageKeys(("description", "exports", "accept"), (), _page_parameters),
         kind="",
+        minutes=1,
     ),
     Stage(
         "summary",
         "the row of a material in the catalogue",
         keys=StageKeys(("description", "accept"), (), _row_parameters),
         kind="",
+        minutes=1,
     ),
     Stage(
         "catalogue",

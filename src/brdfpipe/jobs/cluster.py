@@ -18,6 +18,8 @@ def prepare_node(workflow: Any) -> None:
     """Change the settings of a run on a node, before it plans; without effect elsewhere."""
     if workflow.remote_exec:
         settings = workflow.execution_settings
-        settings.use_threads = True  # else each stage would start a snakemake; now they share the warm workers of one pool
+        settings.use_threads = (
+            True  # else each stage would start a snakemake; now they share the warm workers of one pool
+        )
         settings.no_hooks = False  # the hook at the start preloads what the workers need
         settings.keep_going = True  # one bad material never stops the others of its group
