@@ -12,10 +12,10 @@ PYTEST := OPENBLAS_NUM_THREADS=1 PYTHONDONTWRITEBYTECODE= $(BIN)/python -m pytes
 
 # An environment holds the path of its checkout: a copied or moved one would run the code of the old place, so it is made anew.
 ifneq ($(shell cat $(VENV)/.place 2>/dev/null),$(CURDIR))
-$(VENV)/bin/python $(VENV)/.runtime $(VENV)/.dev $(VENV)/.instruments $(VENV)/.peers: moved
+$(VENV)/bin/python $(VENV)/.runtime $(VENV)/.dev $(VENV)/.instruments $(VENV)/.peers $(VENV)/.cluster: moved
 endif
 
-.PHONY: moved help catalogue check instruments peers test test-full lint format lock keys examples benchmark accuracy tradeoff extremes rig-accuracy clean
+.PHONY: moved help catalogue check instruments peers cluster slurm test test-full lint format lock keys examples benchmark accuracy tradeoff extremes rig-accuracy clean
 .DEFAULT_GOAL := help
 
 help:  ## list the targets
@@ -31,10 +31,15 @@ instruments: $(VENV)/.instruments  ## add the readers of instruments' own file f
 
 peers: $(VENV)/.peers  ## add the independent implementations that test-full compares with (250 MB, compiles for minutes)
 
+cluster: $(VENV)/.cluster  ## add what submits jobs to the scheduler of a cluster (docs/cluster.md)
+
+slurm:  ## install SLURM, on which test-full tests clusters (Debian, as root; no service is started)
+	apt-get install --yes --no-install-recommends slurm-wlm munge
+
 test: $(VENV)/.dev $(VENV)/.instruments  ## run the tests, each at least on a representative case (minutes on two cores)
 	@$(PYTEST)
 
-test-full: $(VENV)/.dev $(VENV)/.instruments $(VENV)/.peers  ## run the same, every random search in full, the slow proofs and the comparisons with other programs (an hour)
+test-full: $(VENV)/.dev $(VENV)/.instruments $(VENV)/.peers $(VENV)/.cluster  ## run the same, every random search in full, the slow proofs and the comparisons with other programs (an hour)
 	@$(PYTEST) --slow
 
 lint: $(VENV)/.dev  ## format check, lint, types, workflow lint
@@ -82,6 +87,8 @@ lock: $(VENV)/.dev  ## resolve the dependencies anew (needs uv on the PATH)
 	  pyproject.toml --extra instruments --extra excel --constraint requirements-dev.lock --output-file requirements-instruments.lock
 	uv pip compile --universal --fork-strategy fewest --python-version 3.11 --generate-hashes --no-header --no-emit-index-url --quiet --upgrade \
 	  pyproject.toml --group peers --constraint requirements-dev.lock --output-file requirements-peers.lock
+	uv pip compile --universal --fork-strategy fewest --python-version 3.11 --generate-hashes --no-header --no-emit-index-url --quiet --upgrade \
+	  pyproject.toml --extra cluster --constraint requirements-dev.lock --output-file requirements-cluster.lock
 
 clean:  ## remove the environment and the built results
 	rm -rf $(VENV) results
@@ -111,4 +118,9 @@ $(VENV)/.peers: requirements-peers.lock $(VENV)/.dev
 	@command -v $(CXX) >/dev/null || { echo "pySCATMECH is compiled on this machine, and there is no $(CXX): install a C++ compiler" >&2; exit 1; }
 	@echo "Adding the independent implementations from requirements-peers.lock (once; minutes of compiling)"
 	@$(PIP) install --require-hashes --no-deps --no-build-isolation -r requirements-peers.lock
+	@touch $@
+
+$(VENV)/.cluster: requirements-cluster.lock $(VENV)/.runtime
+	@echo "Adding what clusters need from requirements-cluster.lock (once)"
+	@$(PIP) install --require-hashes --no-deps -r requirements-cluster.lock
 	@touch $@
