@@ -17,7 +17,10 @@ PROFILES = Path(__file__).parents[2] / "workflow" / "profiles"
 
 
 @pytest.mark.parametrize("remote", [False, True])
-def test_the_settings_of_a_run_change_only_on_a_node(remote: bool) -> None:
+def test_the_settings_of_a_run_change_only_on_a_node(
+    remote: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
     settings = SimpleNamespace(use_threads=False, no_hooks=True, keep_going=False)
     cluster.prepare_node(SimpleNamespace(remote_exec=remote, execution_settings=settings))
     assert (settings.use_threads, settings.no_hooks, settings.keep_going) == (remote, not remote, remote)
@@ -27,7 +30,11 @@ def test_the_settings_of_a_run_change_only_on_a_node(remote: bool) -> None:
 def test_the_profiles_of_clusters_differ_from_the_default_one_where_a_cluster_does(name: str) -> None:
     default, profile = _profile("default"), _profile(name)
     # Threads are set on the node.
-    assert {key for key in default if profile.get(key) != default[key]} == {"force-use-threads", "retries", "latency-wait"}
+    assert {key for key in default if profile.get(key) != default[key]} == {
+        "force-use-threads",
+        "retries",
+        "latency-wait",
+    }
     assert all(re.fullmatch(r"\w+=\d+", entry) for entry in profile["group-components"])
     groups = {entry.partition("=")[0] for entry in profile["group-components"]}
     assert groups == set(cluster.GROUPS.values())

@@ -135,3 +135,25 @@ def test_superseded_lines_are_dropped(folder: Path) -> None:
     assert known.jobs["m/a.nc"].parameters == "49"
     assert len((folder / INDEX).read_text().splitlines()) == 1
     assert Index(folder).jobs == known.jobs
+
+
+def test_what_nodes_of_a_cluster_recorded_is_taken_over(folder: Path) -> None:
+    whole, node = Index(folder), Index(folder, apart=True)
+    write(folder / "m" / "b.nc", "two")
+    whole.finish("p", "c", (), ["m/a.nc"])
+    node.start(["m/b.nc"])
+    assert not node.jobs  # it has read nothing
+    node.finish("p", "c", whole.inputs(["m/a.nc"]), ["m/b.nc"])
+    assert len(list(folder.glob(".index*"))) == 2
+    for _ in range(2):  # from the files, then from the one that replaced them
+        assert set(Index(folder).jobs) == {"m/a.nc", "m/b.nc"}
+        assert [path.name for path in folder.glob(".index*")] == [INDEX]
+
+
+def test_a_node_never_writes_the_index_anew(folder: Path) -> None:
+    Index(folder).finish("p", "c", (), ["m/a.nc"])
+    with (folder / INDEX).open("a") as file:
+        file.write('{"job": "m/b')  # what another process is about to write
+    before = (folder / INDEX).read_bytes()
+    Index(folder, apart=True).finish("p", "c", (), ["m/a.nc"])
+    assert (folder / INDEX).read_bytes() == before

@@ -5,7 +5,10 @@ A group job of a scheduler is a snakemake of its own, which gets no profile. So 
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
+
+from brdfpipe.jobs.index import record_apart
 
 GROUPS = {"material": "materials", "calibration": "calibrations"}
 """Group of the stages, by the owner of their results: profiles say how many materials one job of the scheduler builds (``group-components``).
@@ -17,6 +20,7 @@ Materials share calibrations; in one group with them, all materials of a rig wou
 def prepare_node(workflow: Any) -> None:
     """Change the settings of a run on a node, before it plans; without effect elsewhere."""
     if workflow.remote_exec:
+        record_apart(Path.cwd())
         settings = workflow.execution_settings
         settings.use_threads = (
             True  # else each stage would start a snakemake; now they share the warm workers of one pool

@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import socket
 import threading
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -22,6 +23,9 @@ from brdfpipe.store import canonical_json, file_digest, write_text
 
 INDEX = ".index.jsonl"
 """In the folder of results."""
+
+_PART = ".index.{}.jsonl"
+"""What a process on the node of a cluster recorded."""
 
 SETTLED_NS = 50_000_000
 """A file that changed less than 50 ms ago may change again without another time: the clock of a file system has coarse steps."""
@@ -72,10 +76,17 @@ class Index:
     """The files of a folder of results and the raw files of its materials, with the digests of their contents, and the jobs.
 
     A path is relative to the folder, or absolute for a raw file. Several threads may use one index.
+
+    Parameters
+    ----------
+    folder : of the results
+    apart : of a process on the node of a cluster: what it records goes to a file of its own, because processes on several machines cannot
+        append to one file. It reads none. The next index of the folder takes these files over.
     """
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, apart: bool = False) -> None:
         self.folder = folder.resolve()
+        self._path = self.folder / (_PART.format(f"{socket.gethostname()}-{os.getpid()}") if apart else INDEX)
         self._root = str(self.folder)
         self.jobs: dict[str, Record] = {}
         """By the first output."""
@@ -88,7 +99,8 @@ class Index:
         self._written: dict[str, str] = {}
         """Result → digest of what its job wrote."""
         self._lock = threading.Lock()
-        self._read()
+        if not apart:
+            self._read()
 
     # --- files
 
@@ -220,23 +232,26 @@ class Index:
 
     def _append(self, line: Mapping[str, Any]) -> None:
         # Where the disk is full, the job runs again in the next build.
-        with suppress(OSError), (self.folder / INDEX).open("a", encoding="utf-8") as file:
+        with suppress(OSError), self._path.open("a", encoding="utf-8") as file:
             file.write(canonical_json(line) + "\n")
 
     def _read(self) -> None:
-        try:
-            lines = (self.folder / INDEX).read_text(encoding="utf-8", errors="replace").split("\n")
-        except OSError:
-            return
+        parts = sorted(self.folder.glob(_PART.format("*")), key=lambda path: path.stat().st_mtime_ns)
+        lines = [""]
+        for path in (self._path, *parts):
+            with suppress(OSError):
+                lines += path.read_text(encoding="utf-8", errors="replace").split("\n")
         live: dict[tuple[str, str], str] = {}
         for line in lines:
             with suppress(ValueError, KeyError, TypeError, AttributeError):  # unfinished or damaged
                 subject = self._take(json.loads(line))
                 live.pop(subject, None)  # later lines stay later
                 live[subject] = line
-        if lines[-1] or len(lines) * (1 - _MOST_SUPERSEDED) > len(live) + 1:
+        if parts or lines[-1] or len(lines) * (1 - _MOST_SUPERSEDED) > len(live) + 2:
             with suppress(OSError):
-                write_text(self.folder / INDEX, "".join(f"{line}\n" for line in live.values()))
+                write_text(self._path, "".join(f"{line}\n" for line in live.values()))
+                for path in parts:
+                    path.unlink()
 
     def _take(self, line: Mapping[str, Any]) -> tuple[str, str]:
         """Take over one line of the file; return what it is about: a later line of the same replaces it."""
@@ -268,6 +283,11 @@ def shared_index(folder: Path, fresh: bool = False) -> Index:
     if fresh or folder not in _shared:
         _shared[folder] = Index(folder)
     return _shared[folder]
+
+
+def record_apart(folder: Path) -> None:
+    """Let this process, on the node of a cluster, record its jobs in a file of its own."""
+    _shared[folder.resolve()] = Index(folder, apart=True)
 
 
 def digest_of(value: Any) -> str:
