@@ -40,7 +40,7 @@ pipeline.declare_stage_properties(workflow)
 
 
 def before_planning(pipeline):
-    cluster.prepare_node(workflow)
+    cluster.prepare(workflow)
     force_stale(pipeline, workflow)
 
 

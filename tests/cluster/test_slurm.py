@@ -40,7 +40,14 @@ HERE = (
     "--seconds-between-status-checks",
     "1",
 )
-SLURM = ("--slurm-no-account", "--slurm-status-command", "squeue", "--slurm-init-seconds-before-status-checks", "1")
+SLURM = (
+    "--slurm-keep-successful-logs",
+    "--slurm-no-account",
+    "--slurm-status-command",
+    "squeue",
+    "--slurm-init-seconds-before-status-checks",
+    "1",
+)
 
 pytestmark = [
     pytest.mark.slow,
@@ -87,6 +94,10 @@ def test_a_cluster_gives_the_same_files(
     assert run.returncode == 0, output
     jobs = {name: job for name, job in _jobs(slurm).items() if name not in before}
     assert [job["state"] for job in jobs.values()] == ["COMPLETED"] * 3  # two of materials, one of the catalogue
+    logs = [log.read_text() for log in tmp_path.glob(".snakemake/slurm_logs/group_*/**/*.log")]
+    assert len(logs) == (2 if profile == "slurm" else 0)
+    for log in logs:  # all stages of its materials in one run, with one pool of workers
+        assert log.count("Provided cores: ") == 1
     assert _files(tmp_path) == local
     summary = build(catalogue, tmp_path, cores=1, config=_settings(catalogue))
     assert (summary.jobs, summary.failures) == (0, {})

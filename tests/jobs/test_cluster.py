@@ -22,8 +22,22 @@ def test_the_settings_of_a_run_change_only_on_a_node(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     settings = SimpleNamespace(use_threads=False, no_hooks=True, keep_going=False)
-    cluster.prepare_node(SimpleNamespace(remote_exec=remote, execution_settings=settings))
+    groups = SimpleNamespace(group_components={"materials": 2}, local_groupid="of-this-job")
+    cluster.prepare(
+        SimpleNamespace(local_exec=True, remote_exec=remote, execution_settings=settings, group_settings=groups)
+    )
+    assert set(groups.group_components) == ({"of-this-job", *cluster.GROUPS.values()} if remote else {"materials"})
     assert (settings.use_threads, settings.no_hooks, settings.keep_going) == (remote, not remote, remote)
+
+
+@pytest.mark.parametrize("local", [False, True])
+def test_stages_are_grouped_only_where_jobs_go_to_a_scheduler(local: bool) -> None:
+    rules = [SimpleNamespace(name=name, group=None) for name in ("surface", "calibration", "catalogue", "all")]
+    named = SimpleNamespace(name="facets", group="my-own")
+    cluster.prepare(SimpleNamespace(local_exec=local, remote_exec=False, rules=[*rules, named]))
+    grouped = [None] * 4 if local else ["materials", "calibrations", None, None]
+    assert [rule.group for rule in rules] == grouped
+    assert named.group == "my-own"
 
 
 @pytest.mark.parametrize("name", ["slurm", "generic"])

@@ -13,7 +13,7 @@ from brdfpipe.catalogue.catalogue import Catalogue, load
 from brdfpipe.catalogue.configuration import load_config
 from brdfpipe.catalogue.material import Material
 from brdfpipe.catalogue.names import CALIBRATIONS, CatalogueError
-from brdfpipe.jobs import cluster, code, pool
+from brdfpipe.jobs import code, pool
 from brdfpipe.jobs.index import digest_of, shared_index
 from brdfpipe.jobs.runs import planned_runs, results_folder
 from brdfpipe.jobs.stage import Job
@@ -265,7 +265,6 @@ class Pipeline:
             rule.message = f"{stage.job_title} of {owner}".replace("{", "{wildcards.")
             rule.resources["mem_mb"] = _times_attempt(stage.memory)
             rule.resources["runtime"] = _times_attempt(stage.minutes)
-            rule.group = cluster.GROUPS.get(stage.owner_kind)
 
     def before_planning(self, action: Callable[[Pipeline], None]) -> None:
         """Call a function before snakemake decides which jobs run: when it asks for the first input files."""
