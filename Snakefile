@@ -37,14 +37,8 @@ include: "workflow/rules/catalogue.smk"
 
 
 pipeline.declare_stage_properties(workflow)
-
-
-def before_planning(pipeline):
-    cluster.prepare(workflow)
-    force_stale(pipeline, workflow)
-
-
-pipeline.before_planning(before_planning)
+pipeline.before_planning(lambda pipeline: cluster.prepare(workflow))
+pipeline.before_planning(lambda pipeline: force_stale(pipeline, workflow))
 
 
 rule all:

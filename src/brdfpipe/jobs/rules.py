@@ -82,7 +82,7 @@ class Pipeline:
         self._outputs: dict[str, list[str]] = {}
         self._inputs: dict[str, list[InputFunction | str]] = {}
         self._code: dict[str, str] = {}
-        self._before_planning: Callable[[Pipeline], None] | None = None
+        self._before_planning: list[Callable[[Pipeline], None]] = []
         self._subjects: dict[tuple[str, str], Subject] = {}
 
     def subject(self, owner: Material | Calibration, scene: Scene | None = None) -> Subject:
@@ -188,9 +188,10 @@ class Pipeline:
         """A function as snakemake gets it: it asks first what has to run, and marks raw files, whose times have no effect."""
 
         def give(wildcards: Any) -> Any:
-            if action := self._before_planning:
-                self._before_planning = None
-                action(self)
+            if self._before_planning:
+                actions, self._before_planning = self._before_planning, []
+                for action in actions:
+                    action(self)
             return _ageless(files(wildcards))
 
         return give
@@ -268,7 +269,7 @@ class Pipeline:
 
     def before_planning(self, action: Callable[[Pipeline], None]) -> None:
         """Call a function before snakemake decides which jobs run: when it asks for the first input files."""
-        self._before_planning = action
+        self._before_planning.append(action)
 
     def preload(self, jobs: Iterable[Any]) -> None:
         """Import the slow modules that some jobs use once, in the server of the workers; call it before the first job."""
