@@ -16,10 +16,12 @@ import xarray as xr
 from brdfpipe.catalogue.catalogue import load
 from brdfpipe.descriptions import reading
 from brdfpipe.errors import BrdfpipeError, InputError
+from brdfpipe.jobs.cleanup import STALE
 from brdfpipe.releases.archive import write_archive
 from brdfpipe.releases.metadata import METADATA
 from brdfpipe.releases.release_keys import Release
 from brdfpipe.releases.verification import verify_archive
+from brdfpipe.scenes.scene import shipped_scenes
 
 COLOUR = "spectrum: {lab: [50, 0, 0], illuminant: D65, observer: 10, geometry: sci}\n"
 
@@ -153,6 +155,59 @@ def test_links_are_not_followed(write: Write, tmp_path: Path) -> None:
     (tmp_path / "catalogue" / "black" / "link.txt").symlink_to(tmp_path / "secret")
     with zipfile.ZipFile(write("one.zip")) as archive:
         assert "inputs/black/link.txt" not in archive.namelist()
+
+
+def test_scenes_of_ones_own_are_in_it(write: Write, tmp_path: Path) -> None:
+    catalogue = tmp_path / "catalogue"
+    shutil.copy(shipped_scenes()["gloss-sheet"], catalogue / "mine.yaml")
+    with (catalogue / "black" / "material.yaml").open("a") as file:
+        file.write("scene: ../mine.yaml\n")
+    assert load(catalogue).failures == {}
+    table = tmp_path / "results" / "scenes" / "mine" / "catalogue.csv"
+    table.parent.mkdir(parents=True)
+    shutil.copy(tmp_path / "results" / "catalogue.csv", table)
+    with zipfile.ZipFile(write("one.zip")) as archive:
+        archive.extractall(tmp_path / "rebuilt")
+    assert load(tmp_path / "rebuilt" / "inputs")["black"].scene == load(catalogue)["black"].scene
+
+
+def test_a_raw_file_that_would_be_left_out_is_named(write: Write, tmp_path: Path) -> None:
+    black = tmp_path / "catalogue" / "black"
+    (black / "reflectance.txt").write_text("400 0.1\n700 0.1\n")
+    (black / "link.txt").symlink_to("reflectance.txt")
+    (black / "material.yaml").write_text("spectrum: {file: link.txt, geometry: sci}\n")
+    with pytest.raises(BrdfpipeError, match=r"black/link\.txt: is a symbolic link"):
+        write("one.zip")
+
+
+def test_a_material_whose_stage_failed_is_named(write: Write, tmp_path: Path) -> None:
+    (tmp_path / "catalogue" / "white").mkdir()
+    (tmp_path / "catalogue" / "white" / "material.yaml").write_text(COLOUR)
+    with pytest.raises(BrdfpipeError, match="cannot be built: white"):
+        write("one.zip")
+
+
+def test_results_of_an_earlier_state_are_left_out(write: Write, tmp_path: Path) -> None:
+    for name in ("bsdf.nc", "exports/a.astm", STALE):
+        path = tmp_path / "results" / "left" / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.touch()
+    with zipfile.ZipFile(write("one.zip")) as archive:
+        assert not [name for name in archive.namelist() if "left" in name]
+
+
+def test_a_file_belongs_to_the_material_of_its_folder_alone(write: Write, tmp_path: Path) -> None:
+    place = tmp_path / "results" / "other" / "black"
+    place.mkdir(parents=True)
+    (place / "x.txt").touch()
+    (tmp_path / "catalogue" / "black").rename(tmp_path / "catalogue" / "folder")
+    with (tmp_path / "catalogue" / "folder" / "material.yaml").open("a") as file:
+        file.write("name: black\n")
+    with zipfile.ZipFile(write("one.zip")) as archive:
+        graph = {entity["@id"]: entity for entity in json.loads(archive.read(METADATA))["@graph"]}
+    own = {part["@id"] for part in graph["#material-black"]["hasPart"]}
+    assert {"inputs/folder/material.yaml", "results/black/bsdf.nc"} <= own
+    assert "results/other/black/x.txt" not in own
 
 
 @pytest.mark.parametrize(

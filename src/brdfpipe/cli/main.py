@@ -182,7 +182,7 @@ def diff(older: tuple[Path, ...], new: Path, as_json: bool, html: Path | None) -
 @main.command()
 @click.argument("catalogue", type=FOLDER)
 @click.option("--metadata", type=FILE, required=True, help="release.yaml: title, creators, publisher, date, license.")
-@click.option("--results", type=FOLDER, default=Path("results"), show_default=True, help="Folder of the results.")
+@click.option("--results", type=PRESENT, default=Path("results"), show_default=True, help="Folder of the results.")
 @click.option("--config", type=FILE, default=None, help="The configuration of the build.")
 @click.option("--output", type=click.Path(path_type=Path), default=Path("release.zip"), show_default=True)
 @exit_on_error
@@ -191,11 +191,13 @@ def release(catalogue: Path, metadata: Path, results: Path, config: Path | None,
     from brdfpipe.catalogue.catalogue import load
     from brdfpipe.catalogue.configuration import load_config
     from brdfpipe.descriptions import reading
+    from brdfpipe.jobs.lock import locked
     from brdfpipe.releases.archive import write_archive
     from brdfpipe.releases.release_keys import Release
 
     stated = reading.read(metadata, Release)
-    parts = write_archive(load(catalogue, load_config(config)), results, stated, config, output)
+    with locked(results):
+        parts = write_archive(load(catalogue, load_config(config)), results, stated, config, output)
     click.echo(
         f"{output}: {len(parts)} files, {output.stat().st_size / 1e6:.1f} MB; `brdfpipe verify {output}` checks it"
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import zipfile
 from collections.abc import Iterator, Mapping
@@ -10,10 +11,14 @@ from pathlib import Path
 from typing import Any
 
 from brdfpipe import installation, store
+from brdfpipe.catalogue.calibration import run_file
 from brdfpipe.catalogue.catalogue import Catalogue
-from brdfpipe.catalogue.names import CALIBRATIONS
-from brdfpipe.errors import BrdfpipeError
+from brdfpipe.catalogue.material import raw_files
+from brdfpipe.catalogue.names import CALIBRATION, CALIBRATIONS, DESCRIPTION
+from brdfpipe.errors import BrdfpipeError, abbreviated
+from brdfpipe.jobs.cleanup import STALE
 from brdfpipe.releases.metadata import METADATA, Part, crate
+from brdfpipe.scenes.scene import FOLDER, is_file
 
 INPUTS, RESULTS, SOFTWARE = "inputs", "results", "software"
 """Folders of the archive."""
@@ -56,17 +61,26 @@ def write_archive(
 
     Raises
     ------
-    BrdfpipeError : a material could not be built, or there are no results.
+    BrdfpipeError : a material could not be built, there are no results, or a file that a description names would be left out.
     """
     if not (results / "index.html").is_file():
         raise BrdfpipeError(f"{results}: no results of a catalogue; run `brdfpipe build` first")
-    if catalogue.failures:
-        names = ", ".join(sorted(catalogue.failures)[:5])
-        raise BrdfpipeError(f"materials that cannot be built: {names}; mend or remove them before a release")
-    files = dict(_files(catalogue, results, config))
+    if failed := sorted({*catalogue.failures, *_not_built(catalogue, results)}):
+        raise BrdfpipeError(
+            f"materials that cannot be built: {abbreviated(failed, 5)}; mend or remove them before a release"
+        )
+    files, owners = dict[str, Path](), dict[str, str]()
+    for name, path, material in _files(catalogue, results, config):
+        files[name], owners[name] = path, material
+    if left_out := [str(path) for path in _named(catalogue) if f"{INPUTS}/{path.as_posix()}" not in files]:
+        raise BrdfpipeError(
+            f"{left_out[0]}: is a symbolic link or hidden, and would be left out; put the file itself there, without a dot before its name"
+        )
     if str(target.resolve()) in {str(path.resolve()) for path in files.values()}:
         raise BrdfpipeError(f"{target}: is one of the files to archive; choose another name or folder")
-    parts = [Part(name, path.stat().st_size, store.file_digest(path)) for name, path in sorted(files.items())]
+    parts = [
+        Part(name, path.stat().st_size, store.file_digest(path), owners[name]) for name, path in sorted(files.items())
+    ]
     materials = {item.name: str(item.content.get("description", "")) for item in catalogue.materials}
     metadata = json.dumps(crate(release, parts, materials), indent=1, ensure_ascii=False, sort_keys=True) + "\n"
     readme = _README.format(title=release["title"], metadata=METADATA, version=version("brdfpipe"))
@@ -89,21 +103,68 @@ def _entry(name: str) -> zipfile.ZipInfo:
     return entry
 
 
-def _files(catalogue: Catalogue, results: Path, config: Path | None) -> Iterator[tuple[str, Path]]:
-    """Name in the archive → file."""
-    folders = [material.folder for material in catalogue.materials]
-    folders += [catalogue.folder / CALIBRATIONS / name for name in catalogue.calibrations]
-    for folder in folders:
+def _not_built(catalogue: Catalogue, results: Path) -> Iterator[str]:
+    """Materials that the tables of the results do not have, or not as built."""
+    built = {
+        row.get("material")
+        for scene in catalogue.scenes
+        for row in _rows(results / scene.folder / "catalogue.csv")
+        if row.get("status") != "failed"
+    }
+    return (name for name in catalogue.by_name if name not in built)
+
+
+def _rows(table: Path) -> list[dict[str, str]]:
+    try:
+        with table.open(encoding="utf-8", newline="") as lines:
+            return list(csv.DictReader(lines))
+    except OSError:
+        return []
+
+
+def _named(catalogue: Catalogue) -> Iterator[Path]:
+    """The files that descriptions name, and the descriptions, in relation to the catalogue."""
+    for material in catalogue.materials:
+        names = [DESCRIPTION, *(name for _, _, name in raw_files(material.content))]
+        names += [run_file(material.content["rig"], "rig.")[0]] if "rig" in material.content else []
+        yield from (material.folder.relative_to(catalogue.folder) / name for name in names)
+    for calibration in catalogue.calibrations.values():
+        names = [CALIBRATION, calibration.content["certificate"], run_file(calibration.content, "")[0]]
+        yield from (Path(CALIBRATIONS, calibration.name, name) for name in names)
+
+
+def _files(catalogue: Catalogue, results: Path, config: Path | None) -> Iterator[tuple[str, Path, str]]:
+    """Name in the archive, file, and the material that it belongs to, if any."""
+    folders = [(material.folder, material.name) for material in catalogue.materials]
+    folders += [(catalogue.folder / CALIBRATIONS / name, "") for name in catalogue.calibrations]
+    for folder, material in folders:
         for path in _regular_files(folder):
-            yield f"{INPUTS}/{path.relative_to(catalogue.folder).as_posix()}", path
+            yield f"{INPUTS}/{path.relative_to(catalogue.folder).as_posix()}", path, material
+    for one in catalogue.materials:
+        if is_file(str(one.content.get("scene", ""))):
+            path = (one.folder / one.content["scene"]).resolve()
+            yield f"{INPUTS}/{path.relative_to(catalogue.folder).as_posix()}", path, ""
+    stale = {path.parent for path in results.rglob(STALE)}
     for path in _regular_files(results):
         place = path.relative_to(results)
-        if place.parts[0] not in _NOT_RESULTS and not any(part.startswith(".") for part in place.parts):
-            yield f"{RESULTS}/{place.as_posix()}", path
+        hidden = any(part.startswith(".") for part in place.parts)
+        if not hidden and place.parts[0] not in _NOT_RESULTS and not stale.intersection(path.parents):
+            yield f"{RESULTS}/{place.as_posix()}", path, _material(place, catalogue)
     project = installation.project_folder()
-    yield f"{SOFTWARE}/config.yaml", config or project / "config" / "config.yaml"
+    config = config or project / "config" / "config.yaml"
+    yield f"{SOFTWARE}/config.yaml", config, ""
+    if is_file(scene := str(catalogue.config["scene"])):
+        if not Path(scene).is_relative_to(config.resolve().parent):
+            raise BrdfpipeError(f"{config}: its scene {scene} would be left out; put it beside the configuration")
+        yield f"{SOFTWARE}/{Path(scene).relative_to(config.resolve().parent).as_posix()}", Path(scene), ""
     if (project / "requirements.lock").is_file():
-        yield f"{SOFTWARE}/requirements.lock", project / "requirements.lock"
+        yield f"{SOFTWARE}/requirements.lock", project / "requirements.lock", ""
+
+
+def _material(place: Path, catalogue: Catalogue) -> str:
+    """The material of a file in the results; empty for that of a catalogue or a calibration."""
+    parts = place.parts[2:] if place.parts[0] == FOLDER else place.parts
+    return parts[0] if len(parts) > 1 and parts[0] in catalogue.by_name else ""
 
 
 def _regular_files(folder: Path) -> Iterator[Path]:

@@ -27,6 +27,8 @@ class Part(NamedTuple):
     """Path in the archive."""
     size: int
     sha256: str
+    material: str = ""
+    """That it belongs to, if any."""
 
 
 def crate(release: Mapping[str, Any], parts: Iterable[Part], materials: Mapping[str, str]) -> dict[str, Any]:
@@ -36,10 +38,15 @@ def crate(release: Mapping[str, Any], parts: Iterable[Part], materials: Mapping[
     ----------
     release : as :class:`.release_keys.Release` declares
     parts : the files
-    materials : name → description; files below ``results/…/NAME/`` and ``inputs/NAME/`` belong to it
+    materials : name → description
     """
-    files = {part.name: _file(part) for part in sorted(parts)}
-    folders = {name: _material(name, text, files) for name, text in sorted(materials.items())}
+    parts = sorted(parts)
+    files = {part.name: _file(part) for part in parts}
+    own: dict[str, list[str]] = {name: [] for name in materials}
+    for part in parts:
+        if part.material:
+            own[part.material].append(files[part.name]["@id"])
+    folders = {name: _material(name, text, own[name]) for name, text in sorted(materials.items())}
     nested = {entity["@id"] for folder in folders.values() for entity in folder["hasPart"]}
     others = [{"@id": entity["@id"]} for entity in files.values() if entity["@id"] not in nested]
     creators = [_creator(number, creator) for number, creator in enumerate(release["creators"], start=1)]
@@ -87,15 +94,14 @@ def _file(part: Part) -> dict[str, Any]:
     }
 
 
-def _material(name: str, description: str, files: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
+def _material(name: str, description: str, files: Iterable[str]) -> dict[str, Any]:
     """A material: its description, raw files and results in all scenes."""
-    own = [entity for path, entity in files.items() if name in PurePosixPath(path).parts[1:-1]]
     return {
         "@id": f"#material-{quote(name)}",
         "@type": "Dataset",
         "name": name,
         **({"description": description} if description else {}),
-        "hasPart": [{"@id": entity["@id"]} for entity in own],
+        "hasPart": [{"@id": file} for file in files],
     }
 
 
