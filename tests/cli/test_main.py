@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+import zipfile
 from collections.abc import Mapping
 from importlib.metadata import version
 from pathlib import Path
@@ -16,6 +17,7 @@ from brdfpipe.cli import main as cli
 from brdfpipe.jobs.index import Index
 from brdfpipe.jobs.summary import Summary
 from brdfpipe.releases.differences import Difference
+from brdfpipe.releases.metadata import METADATA
 
 COLOUR = "spectrum: {lab: [50, 0, 0], illuminant: D65, observer: 10, geometry: sci}\n"
 
@@ -268,6 +270,13 @@ def test_prune_lists_and_deletes_what_left(tmp_path: Path) -> None:
     assert (tmp_path / "results" / "left").exists()
     run("prune", tmp_path / "catalogue", "--results", tmp_path / "results")
     assert [path.name for path in (tmp_path / "results").glob("[!.]*")] == ["a"]
+
+
+def test_verify_shows_hidden_characters(tmp_path: Path) -> None:
+    with zipfile.ZipFile(tmp_path / "a.zip", "w") as archive:
+        archive.writestr(METADATA, '{"@graph": []}')
+        archive.writestr("a\x1b[2J", "")
+    assert run("verify", tmp_path / "a.zip").output.splitlines()[0] == r"a\x1b[2J: is not in the metadata"
 
 
 def test_verify_exits_with_1_where_a_file_changed(tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import time
 from pathlib import Path
 
@@ -157,3 +158,12 @@ def test_a_node_never_writes_the_index_anew(folder: Path) -> None:
     before = (folder / INDEX).read_bytes()
     Index(folder, apart=True).finish("p", "c", (), ["m/a.nc"])
     assert (folder / INDEX).read_bytes() == before
+
+
+def test_an_index_that_cannot_be_written_anew_is_read(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    Index(folder).finish("p", "c", (), ["m/a.nc"])
+    with (folder / INDEX).open("a") as file:
+        file.write('{"job":"m/b')
+    full = shutil.disk_usage(folder)._replace(free=0)
+    monkeypatch.setattr(shutil, "disk_usage", lambda path: full)
+    assert Index(folder).jobs.keys() == {"m/a.nc"}

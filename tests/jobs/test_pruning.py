@@ -11,7 +11,9 @@ import xarray as xr
 from brdfpipe.catalogue.catalogue import load
 from brdfpipe.catalogue.names import LOCK
 from brdfpipe.errors import BrdfpipeError
+from brdfpipe.jobs.index import INDEX, Index
 from brdfpipe.jobs.pruning import prune
+from brdfpipe.releases.verification import verify_results
 
 COLOUR = "spectrum: {lab: [50, 0, 0], illuminant: D65, observer: 10, geometry: sci}\n"
 
@@ -112,3 +114,14 @@ def test_a_copy_of_results_under_another_name_is_left_alone(folders: tuple[Path,
     shutil.copytree(results / "stays", results / "stays-before")
     prune(results, load(catalogue))
     assert (results / "stays-before" / "bsdf.nc").exists()
+
+
+def test_pruned_results_are_not_missing(folders: tuple[Path, Path]) -> None:
+    catalogue, results = folders
+    index = Index(results)
+    for path in sorted(files(results)):
+        if path != INDEX and not path.startswith("logs/"):
+            index.finish("p", "c", (), [path])
+    assert verify_results(results) == []
+    prune(results, load(catalogue))
+    assert verify_results(results) == []

@@ -139,6 +139,15 @@ def test_an_archive_without_metadata_is_refused(write: Write) -> None:
         verify_archive(changed(write("one.zip"), lambda entries: entries.pop(METADATA)))
 
 
+@pytest.mark.parametrize(
+    "entity", [{}, {"contentSize": "1"}, {"contentSize": "one", "sha256": ""}, {"contentSize": None, "sha256": ""}]
+)
+def test_an_archive_with_damaged_metadata_is_refused(write: Write, entity: dict[str, Any]) -> None:
+    graph = json.dumps({"@graph": [{"@id": "results/index.html", "@type": "File"} | entity]}).encode()
+    with pytest.raises(BrdfpipeError, match="no release"):
+        verify_archive(changed(write("one.zip"), lambda entries: entries.update({METADATA: graph})))
+
+
 def test_nothing_is_written_where_a_material_fails_or_results_are_missing(write: Write, tmp_path: Path) -> None:
     (tmp_path / "catalogue" / "bad").mkdir()
     (tmp_path / "catalogue" / "bad" / "material.yaml").write_text("spectrum: [")

@@ -14,7 +14,7 @@ import click
 
 from brdfpipe.cli.console import FILE, FOLDER, PRESENT, exit_on_error
 from brdfpipe.cli.rig import rig
-from brdfpipe.errors import BrdfpipeError
+from brdfpipe.errors import BrdfpipeError, printable
 
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"]})
@@ -216,7 +216,7 @@ def verify(results: Path) -> int:
 
     problems = verify_results(results) if results.is_dir() else verify_archive(results)
     for problem in problems:
-        click.echo(problem)
+        click.echo(printable(problem))
     count = f"{len(problems)} problem{'s' if len(problems) > 1 else ''}"
     click.echo(f"{results}: {count}" if problems else f"{results}: every file is as it was written")
     return 1 if problems else 0

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from brdfpipe.errors import InputError
-from brdfpipe.store import canonical_json, file_digest, write_text
+from brdfpipe.store import StoreError, canonical_json, file_digest, write_text
 
 INDEX = ".index.jsonl"
 """In the folder of results."""
@@ -154,9 +154,13 @@ class Index:
 
     def start(self, outputs: Sequence[str]) -> None:
         """Forget a job, by its outputs, before it runs: if it is stopped, it runs again."""
+        self.forget(outputs[0])
+
+    def forget(self, job: str) -> None:
+        """Forget a job, by its first output, with the digests of what it wrote."""
         with self._lock:
-            self._forget(outputs[0])
-            self._append({"job": outputs[0]})
+            self._forget(job)
+            self._append({"job": job})
 
     def finish(self, parameters: str, code: str, inputs: Inputs, outputs: Sequence[str]) -> None:
         """Record a job that succeeded; its outputs are read."""
@@ -248,7 +252,7 @@ class Index:
                 live.pop(subject, None)  # later lines stay later
                 live[subject] = line
         if parts or lines[-1] or len(lines) * (1 - _MOST_SUPERSEDED) > len(live) + 2:
-            with suppress(OSError):
+            with suppress(OSError, StoreError):  # the disk is full or the folder write-protected: nothing is lost
                 write_text(self._path, "".join(f"{line}\n" for line in live.values()))
                 for path in parts:
                     path.unlink()

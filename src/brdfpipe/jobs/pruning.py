@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import shutil
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,6 +13,7 @@ from brdfpipe.catalogue.names import CALIBRATIONS, LOCK, RESULT_MARKS
 from brdfpipe.descriptions.keys import NAME
 from brdfpipe.errors import BrdfpipeError
 from brdfpipe.jobs.cleanup import folders_of_materials
+from brdfpipe.jobs.index import Index
 from brdfpipe.scenes.scene import FOLDER
 
 
@@ -64,7 +66,16 @@ def prune(results: Path, catalogue: Catalogue, *, dry_run: bool = False) -> Prun
     if not dry_run:
         for path in unused:
             shutil.rmtree(path) if path.is_dir() else path.unlink()
+        _forget(results, unused)
     return Pruned(tuple(sorted(str(path.relative_to(results)) for path in unused)), size)
+
+
+def _forget(results: Path, deleted: Sequence[Path]) -> None:
+    """Forget the jobs that wrote what was deleted: nothing of it is missing."""
+    index = Index(results)
+    for job in list(index.jobs):
+        if not {results / job, *(results / job).parents}.isdisjoint(deleted):
+            index.forget(job)
 
 
 def _is_result(folder: Path) -> bool:

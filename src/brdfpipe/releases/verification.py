@@ -5,9 +5,9 @@ from __future__ import annotations
 import hashlib
 import json
 import zipfile
-from collections.abc import Iterator
+from collections import Counter
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any
 from urllib.parse import unquote
 
 from brdfpipe.errors import BrdfpipeError
@@ -39,7 +39,7 @@ def verify_archive(path: Path) -> list[str]:
             names = [name for name in archive.namelist() if not name.endswith("/")]
             present = tqdm(sorted(names), unit="file", delay=2.0, disable=None, leave=False)
             problems = [problem for name in present for problem in _problems(archive, name, listed)]
-            problems += [f"{name}: appears twice" for name in sorted(set(names)) if names.count(name) > 1]
+            problems += [f"{name}: appears twice" for name, number in sorted(Counter(names).items()) if number > 1]
     except zipfile.BadZipFile as error:
         raise BrdfpipeError(f"{path.name}: no zip archive, or damaged ({error}); get the file again") from error
     problems += [f"{name}: is missing" for name in sorted(listed.keys() - set(names))]
@@ -73,16 +73,20 @@ def verify_results(results: Path) -> list[str]:
     return problems + [f"{path}: was written by no build" for path in sorted(unknown - written)]
 
 
-def _listed(archive: zipfile.ZipFile, path: Path) -> dict[str, Any]:
-    """The files of the metadata by name."""
+def _listed(archive: zipfile.ZipFile, path: Path) -> dict[str, tuple[int, str]]:
+    """The files of the metadata: name → size and sha256."""
     try:
         if archive.getinfo(METADATA).file_size > _MOST_METADATA:
             raise BrdfpipeError(
                 f"{path.name}: {METADATA} is larger than {_MOST_METADATA >> 20} MiB; get the file again"
             )
         graph = json.loads(archive.read(METADATA))["@graph"]
-        return {unquote(entity["@id"]): entity for entity in graph if entity["@type"] == "File"}
-    except (*DAMAGE, TypeError) as error:
+        return {
+            unquote(entity["@id"]): (int(entity["contentSize"]), str(entity["sha256"]))
+            for entity in graph
+            if entity["@type"] == "File"
+        }
+    except (*DAMAGE, TypeError, AttributeError) as error:
         if isinstance(error, BrdfpipeError):
             raise
         raise BrdfpipeError(
@@ -90,13 +94,13 @@ def _listed(archive: zipfile.ZipFile, path: Path) -> dict[str, Any]:
         ) from error
 
 
-def _problems(archive: zipfile.ZipFile, name: str, listed: dict[str, Any]) -> Iterator[str]:
+def _problems(archive: zipfile.ZipFile, name: str, listed: Mapping[str, tuple[int, str]]) -> Iterator[str]:
     if name in (METADATA, _README):
         return
     if name not in listed:
         yield f"{name}: is not in the metadata"
         return
-    stated = int(listed[name]["contentSize"])
+    stated, sha256 = listed[name]
     digest = hashlib.sha256()
     size = 0
     try:
@@ -109,5 +113,5 @@ def _problems(archive: zipfile.ZipFile, name: str, listed: dict[str, Any]) -> It
         return
     if size != stated:
         yield f"{name}: has {'more' if size > stated else 'less'} than the {stated} bytes of the metadata"
-    elif digest.hexdigest() != listed[name]["sha256"]:
+    elif digest.hexdigest() != sha256:
         yield f"{name}: the content does not match its sha256"
