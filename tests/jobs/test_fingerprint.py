@@ -66,3 +66,9 @@ def test_it_changes_with_the_version_of_a_library(
     before = of(folder, tmp_path)
     (libraries / "numpy-1.0.dist-info").rename(libraries / "numpy-1.1.dist-info")
     assert of(folder, tmp_path) != before
+
+
+def test_a_link_to_nowhere_among_the_sources_has_no_effect(folder: Path, project: Path, tmp_path: Path) -> None:
+    before = of(folder, tmp_path)
+    (project / "workflow" / "scripts" / ".#facets.py").symlink_to("someone@host.123")
+    assert of(folder, tmp_path) == before

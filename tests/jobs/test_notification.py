@@ -23,6 +23,13 @@ def test_the_command_gets_the_text_and_no_shell_reads_it(tmp_path: Path, monkeyp
     assert not (tmp_path / "pwned").exists()
 
 
+def test_any_text_of_the_command_is_read(tmp_path: Path) -> None:
+    write = 'import sys; sys.stdout.buffer.write(b"\\xff"); sys.stderr.buffer.write(b"\\xff\\x1b"); sys.exit(int(sys.argv[1]))'
+    notification.notify(python(write) + " 0", "µ")
+    with pytest.raises(BrdfpipeError, match=r"exit code 1: \\xff\\x1b"):
+        notification.notify(python(write) + " 1", "µ")
+
+
 @pytest.mark.parametrize(
     ("command", "problem"),
     [

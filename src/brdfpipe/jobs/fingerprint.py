@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 
 from brdfpipe import installation
@@ -48,8 +49,9 @@ def _sources() -> Iterator[tuple[str, int, int]]:
         for place, folders, files in os.walk(folder):
             folders[:] = sorted(name for name in folders if name != "__pycache__")
             for path in (Path(place, name) for name in sorted(files)):
-                status = path.stat()
-                yield str(path), status.st_size, status.st_mtime_ns
+                with suppress(FileNotFoundError):  # an editor marks an open file by a link to nowhere
+                    status = path.stat()
+                    yield str(path), status.st_size, status.st_mtime_ns
     snakefile = (project / "Snakefile").stat()
     yield "Snakefile", snakefile.st_size, snakefile.st_mtime_ns
 

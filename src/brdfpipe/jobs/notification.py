@@ -25,11 +25,11 @@ def notify(command: str, text: str) -> None:
     if not words:
         raise BrdfpipeError("the notification is empty; accepted: a command, as `mail -s brdfpipe lab@example.org`")
     try:
-        done = subprocess.run(words, input=text, text=True, capture_output=True, timeout=PATIENCE, check=False)
+        done = subprocess.run(words, input=text.encode(), capture_output=True, timeout=PATIENCE, check=False)
     except OSError as error:
         raise BrdfpipeError(f"the notification could not start: {words[0]}: {error.strerror}") from error
     except subprocess.TimeoutExpired as error:
         raise BrdfpipeError(f"the notification {words[0]} took more than {PATIENCE:g} s and was stopped") from error
     if done.returncode:
-        last = printable(done.stderr.strip().rpartition("\n")[2])
+        last = printable(done.stderr.decode(errors="backslashreplace").strip().rpartition("\n")[2])
         raise BrdfpipeError(f"the notification {words[0]} failed with exit code {done.returncode}: {last}")
