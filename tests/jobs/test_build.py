@@ -92,6 +92,21 @@ def test_an_unchanged_catalogue_runs_no_job(folder: Path, results: Path) -> None
     assert times(results) == before
 
 
+def test_the_verdict_of_a_named_material_is_that_of_its_own_row(folder: Path, project: Path, tmp_path: Path) -> None:
+    results = tmp_path / "results"
+    (project / "workflow" / "scripts" / "summary.py").write_text(
+        "import xarray as xr\n"
+        "def main(input, output, params):\n"
+        "    row = {'verdict': ('material', ['fail']), 'verdict_text': ('material', ['too bright'])}\n"
+        "    xr.Dataset(row).to_netcdf(output['summary'])\n"
+    )
+    results.mkdir()
+    (results / "catalogue.csv").write_text("material,verdict,verdict_text\nfirst,pass,\n")  # of an earlier build
+    (results / ".snakemake").mkdir()
+    summary = build_catalogue(folder, results, cores=2, names=["first"])
+    assert (summary.verdicts, summary.fail_reasons) == ({"first": "fail"}, {"first": "too bright"})
+
+
 def test_only_named_materials_are_built_and_the_rest_follows_later(folder: Path, results: Path, write: Write) -> None:
     write(folder, "bad", raw="refuse")
     summary = build_catalogue(folder, results, cores=2, names=["fir*"])

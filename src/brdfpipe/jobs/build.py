@@ -82,9 +82,13 @@ def build(
         replaced = [] if dry_run else sorted(index.replaced)
     touched = {material for _, material in run.done}
     built_materials = [name for name in catalogue.by_name if name in selected and name not in failed_materials]
-    tables = [] if dry_run else [results / one.folder for one in catalogue.scenes]
-    verdicts = summary.read_verdicts(tables, built_materials)
-    pages = {name: results / catalogue.scene_of(name).folder / name / "report.html" for name in verdicts}
+    folders = {name: results / catalogue.scene_of(name).folder / name for name in built_materials}
+    if names and not dry_run:
+        verdicts = summary.read_own_verdicts({name: path / "summary.nc" for name, path in folders.items()})
+    else:
+        tables = [] if dry_run else [results / one.folder for one in catalogue.scenes]
+        verdicts = summary.read_verdicts(tables, built_materials)
+    pages = {name: folders[name] / "report.html" for name in verdicts}
     notices = summary.notices(catalogue.folder, deleted, replaced, stale)
     over = () if dry_run else budgets.exceeded(results, catalogue, built_materials)
     reasons = {name: f"{entry['stage']}: {entry['message']}" for name, entry in failed_materials.items()}

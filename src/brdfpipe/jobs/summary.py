@@ -11,7 +11,9 @@ from pathlib import Path
 from typing import Any
 
 from brdfpipe.catalogue.catalogue import ignored
+from brdfpipe.errors import BrdfpipeError
 from brdfpipe.jobs.cleanup import STALE
+from brdfpipe.store import opened
 
 _LISTED = 5
 """Names in a notice."""
@@ -93,6 +95,16 @@ def read_verdicts(folders: Iterable[Path], names: Iterable[str]) -> dict[str, tu
         for name in names
         if (verdict := found.get(name, {}).get("verdict"))
     }
+
+
+def read_own_verdicts(rows: Mapping[str, Path]) -> dict[str, tuple[str, str]]:
+    """The same from the row of each material, name → its dataset: after a build of some materials the tables are of an earlier one."""
+    found = {}
+    for name, path in rows.items():
+        with suppress(BrdfpipeError), opened({name: path}) as datasets:
+            row = datasets[name].isel(material=0)
+            found[name] = str(row["verdict"].values), str(row["verdict_text"].values)
+    return {name: verdict for name, verdict in found.items() if verdict[0]}
 
 
 def notices(folder: Path, deleted: Sequence[str], replaced: Sequence[str], stale: Sequence[str]) -> Iterator[str]:
