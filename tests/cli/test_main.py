@@ -16,6 +16,7 @@ from click.testing import CliRunner, Result
 from brdfpipe.cli import main as cli
 from brdfpipe.jobs.index import Index
 from brdfpipe.jobs.summary import Summary
+from brdfpipe.releases.causes import Cause
 from brdfpipe.releases.differences import Difference
 from brdfpipe.releases.metadata import METADATA
 
@@ -212,6 +213,22 @@ def test_diff_prints_lines_or_json(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     assert run("diff", tmp_path, tmp_path).output.splitlines()[1] == "  black: added"
     (entry,) = json.loads(run("diff", "--json", tmp_path, tmp_path).output)
     assert entry["material"] == "black"
+
+
+def test_texts_of_files_show_their_hidden_characters(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    hidden, shown = "a\x9b2J\u202e", r"a\x9b2J\u202e"
+    found = [Difference("black", "", "changed", causes=(Cause("key", "bsdf", hidden),))]
+    monkeypatch.setattr("brdfpipe.releases.differences.differences", lambda old, new: found)
+    assert run("diff", tmp_path, tmp_path).output.splitlines()[-1].endswith(shown)
+    summary = Summary(
+        ("a",), (), {}, 3, tmp_path / "index.html", 3.2, verdicts={"a": "fail"}, fail_reasons={"a": hidden}
+    )
+    monkeypatch.setattr("brdfpipe.jobs.build.build", lambda *given, **named: summary)
+    assert f"  a: verdict fail: {shown}" in run("build", tmp_path).output.splitlines()
+    assert (
+        run("build", tmp_path, "--notify", f"/{hidden}").output.splitlines()[-1].endswith("No such file or directory")
+    )
+    assert shown in run("build", tmp_path, "--notify", f"/{hidden}").output.splitlines()[-1]
 
 
 def test_diff_of_a_folder_without_results_is_one_line_and_exit_2(tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ from typing import ParamSpec
 
 import click
 
-from brdfpipe.errors import BrdfpipeError
+from brdfpipe.errors import BrdfpipeError, printable
 from brdfpipe.jobs.interrupts import Terminated
 
 Arguments = ParamSpec("Arguments")
@@ -28,7 +28,7 @@ def exit_on_error(command: Callable[Arguments, int]) -> Callable[Arguments, None
         try:
             code = command(*args, **kwargs)
         except BrdfpipeError as refusal:
-            click.echo(f"brdfpipe: {refusal}", err=True)
+            click.echo(f"brdfpipe: {printable(str(refusal))}", err=True)
             code = 2
         except OSError as error:
             click.echo(f"brdfpipe: {error.filename or 'operating system'}: {error.strerror or error}", err=True)

@@ -73,7 +73,7 @@ def build(
         catalogue, results, cores=cores or _cores(), config=config, scene=scene, names=names, dry_run=dry_run
     )
     plain = json.dumps(summary.plain, indent=1, ensure_ascii=False)
-    click.echo(plain if as_json else summary.text)
+    click.echo(plain if as_json else printable(summary.text))
     code = 1 if summary.failures or (fail_on and summary.has_verdict(fail_on)) else 0
     if notify:
         notification.notify(notify, plain)
@@ -175,7 +175,7 @@ def diff(older: tuple[Path, ...], new: Path, as_json: bool, html: Path | None) -
         folders = [*older, new]
         store.write_text(html, changes_page(found, histories(folders), [folder.resolve().name for folder in folders]))
     text = json.dumps(words.plain(found), indent=1, ensure_ascii=False) if as_json else "\n".join(words.lines(found))
-    click.echo(text)
+    click.echo(text if as_json else printable(text))
     return 0
 
 
