@@ -235,3 +235,9 @@ def test_wrong_metadata_are_refused_by_key(tmp_path: Path, text: str, where: str
     path.write_text("\n".join([*lines, text]))
     with pytest.raises(InputError, match=where):
         reading.read(path, Release)
+
+
+def test_a_file_whose_name_is_not_utf8_is_named(write: Write, tmp_path: Path) -> None:
+    (tmp_path / "catalogue" / "black" / os.fsdecode(b"gr\xfcn.txt")).touch()
+    with pytest.raises(BrdfpipeError, match=r"gr\\xfcn\.txt: the name is not UTF-8"):
+        write("one.zip")

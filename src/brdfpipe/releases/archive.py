@@ -15,7 +15,7 @@ from brdfpipe.catalogue.calibration import run_file
 from brdfpipe.catalogue.catalogue import Catalogue
 from brdfpipe.catalogue.material import raw_files
 from brdfpipe.catalogue.names import CALIBRATION, CALIBRATIONS, DESCRIPTION
-from brdfpipe.errors import BrdfpipeError, abbreviated
+from brdfpipe.errors import BrdfpipeError, abbreviated, printable
 from brdfpipe.jobs.cleanup import STALE
 from brdfpipe.releases.metadata import METADATA, Part, crate
 from brdfpipe.scenes.scene import FOLDER, is_file
@@ -61,7 +61,8 @@ def write_archive(
 
     Raises
     ------
-    BrdfpipeError : a material could not be built, there are no results, or a file that a description names would be left out.
+    BrdfpipeError : a material could not be built, there are no results, a file that a description names would be left out, or a name is
+        not UTF-8.
     """
     if not (results / "index.html").is_file():
         raise BrdfpipeError(f"{results}: no results of a catalogue; run `brdfpipe build` first")
@@ -76,6 +77,8 @@ def write_archive(
         raise BrdfpipeError(
             f"{left_out[0]}: is a symbolic link or hidden, and would be left out; put the file itself there, without a dot before its name"
         )
+    if misnamed := [printable(name) for name in files if printable(name) != name]:
+        raise BrdfpipeError(f"{misnamed[0]}: the name is not UTF-8 or has hidden characters; rename or remove the file")
     if str(target.resolve()) in {str(path.resolve()) for path in files.values()}:
         raise BrdfpipeError(f"{target}: is one of the files to archive; choose another name or folder")
     parts = [
