@@ -222,3 +222,8 @@ def test_a_job_beyond_its_memory_fails_and_the_next_one_has_all(tmp_path: Path, 
     assert "needs more memory than the limit of 1500 MB; raise `job_limits.memory`" in str(error)
     assert workers.perform(replace(job(tmp_path, memory=2**28), most_memory=1500.0)).error is None
     assert workers.perform(replace(job(tmp_path, memory=1700 * 2**20))).error is None
+
+
+def test_a_signal_that_closes_the_pool_inside_its_own_functions_does_not_hang() -> None:
+    code = "from brdfpipe.jobs import pool; one = pool.shared_pool()\nwith pool._pools_lock, one._lock: pool.close()"
+    subprocess.run([sys.executable, "-c", code], timeout=60, check=True)

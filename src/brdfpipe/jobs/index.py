@@ -130,10 +130,6 @@ class Index:
                 self._files[path] = stamp, digest
                 self._append({"file": path, "is": [*stamp, digest]})
 
-    def intact(self, path: str) -> bool:
-        """Whether a result is what its job wrote; true of a file that no job of the index wrote."""
-        return path not in self._written or self.digest(path) == self._written[path]
-
     def damaged(self, paths: Iterable[str]) -> list[str]:
         """Results that are not what their jobs wrote; each is read whole, whatever its stamp."""
         damaged = []

@@ -70,7 +70,7 @@ class Pool:
     def __init__(self) -> None:
         self._idle: list[_Worker] = []
         self._workers: set[_Worker] = set()
-        self._lock = threading.Lock()
+        self._lock = threading.RLock()  # a signal may close the pool inside any of its functions
         self._closed = False
 
     def perform(self, job: Job) -> Outcome:
@@ -177,7 +177,7 @@ def _crashed(job: Job, died: WorkerDied) -> Outcome:
 _also_preloaded: set[str] = set()
 _pools: dict[int, Pool] = {}
 """By process id: a forked process must not use the workers of its parent."""
-_pools_lock = threading.Lock()
+_pools_lock = threading.RLock()
 
 
 def shared_pool() -> Pool:
