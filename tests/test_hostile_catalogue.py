@@ -102,6 +102,7 @@ ATTACKS: dict[str, Attack] = {
     "size": text("#" * 2_000_000),
     "number": text("index: 1" + "0" * 5000 + "\nspectrum: 1\n"),
     "scene": text(COLOUR + "scene: ../../secret.yaml\n"),
+    "scene-null": text(COLOUR + 'scene: "../\\0.yaml"\n'),
     "zip-bomb": scan(zip_bomb(), "a.x3p"),
     "entities": scan(archive_of(ENTITIES), "a.x3p"),
     "header": scan(numpy_header("(1000000000, 1000000000)"), "a.npy"),

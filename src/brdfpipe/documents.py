@@ -84,10 +84,10 @@ def refuse_link_outside(description: Path, folder: str) -> None:
 
 
 def resolved(path: Path) -> Path | None:
-    """The path without symbolic links; None if they form a loop."""
+    """The path without symbolic links; None if they form a loop, or if it holds a null character."""
     try:
         return path.resolve()
-    except (OSError, RuntimeError):  # RuntimeError: a loop, until Python 3.13
+    except (OSError, RuntimeError, ValueError):  # RuntimeError: a loop, until Python 3.13
         return None
 
 

@@ -509,6 +509,7 @@ def test_parameters_of_stages_have_one_spelling(tmp_path: Path, unit: str) -> No
 @pytest.mark.parametrize(
     ("files", "reason"),
     [
+        (["material.yaml/notes.txt"], "material.yaml is no file; put the description there"),
         (["material.yml"], "material.yml is not read; rename it to material.yaml"),
         (["Material.YAML"], "Material.YAML is not read; rename it to material.yaml"),
         (["material.yaml.txt"], "material.yaml.txt is not read; rename it to material.yaml"),

@@ -238,6 +238,8 @@ def _reason_to_ignore(folder: Path) -> str | None:
         return None
     names = sorted(item.name for item in folder.iterdir() if not item.name.startswith("."))
     misnamed = [name for name in names if re.fullmatch(r"material\.ya?ml(\.txt)?", name, re.IGNORECASE)]
+    if DESCRIPTION in names:
+        return f"{DESCRIPTION} is no file; put the description there"
     if misnamed:
         return f"{misnamed[0]} is not read; rename it to {DESCRIPTION}"
     deeper = [name for name in names if (folder / name / DESCRIPTION).is_file()]
