@@ -87,3 +87,11 @@ def test_folders_that_cannot_be_compared_are_refused(tmp_path: Path, release: Re
     release("moved", {"black": plastic()}).rename(other)
     with pytest.raises(BrdfpipeError, match="no scene in common"):
         differences(folder, tmp_path / "other")
+
+
+@pytest.mark.parametrize("content", [b"material\nblack\n", b"\xff", b"material,status\nblack,failed\n", b"a" * 200_000])
+def test_a_damaged_table_is_one_error(release: Release, plastic: Plastic, content: bytes) -> None:
+    folder = release("old", {"black": plastic()})
+    (folder / "catalogue.csv").write_bytes(content)
+    with pytest.raises(BrdfpipeError, match="damaged; run `brdfpipe build`"):
+        differences(folder, folder)

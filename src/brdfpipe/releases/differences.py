@@ -97,10 +97,13 @@ class Release:
         names = [str(name) for name in table["material"].values]
         self.rows = {name: table.isel(material=row) for row, name in enumerate(names)}
         self.failures: dict[str, str] = {}
-        with (folder / "catalogue.csv").open(encoding="utf-8", newline="") as lines:
-            for line in csv.DictReader(lines):
-                if line["status"] == "failed":
-                    self.failures[line["material"]] = f"{line['stage']}: {line['message']}"
+        try:
+            with (folder / "catalogue.csv").open(encoding="utf-8", newline="") as lines:
+                for line in csv.DictReader(lines):
+                    if line["status"] == "failed":
+                        self.failures[line["material"]] = f"{line['stage']}: {line['message']}"
+        except (KeyError, ValueError, csv.Error) as error:
+            raise BrdfpipeError(f"{folder / 'catalogue.csv'}: damaged; run `brdfpipe build`") from error
 
     @property
     def names(self) -> set[str]:
