@@ -172,9 +172,9 @@ def test_scenes_of_ones_own_are_in_it(write: Write, tmp_path: Path) -> None:
     with (catalogue / "black" / "material.yaml").open("a") as file:
         file.write("scene: ../mine.yaml\n")
     assert load(catalogue).failures == {}
-    table = tmp_path / "results" / "scenes" / "mine" / "catalogue.csv"
-    table.parent.mkdir(parents=True)
-    shutil.copy(tmp_path / "results" / "catalogue.csv", table)
+    (tmp_path / "results" / "scenes" / "mine").mkdir(parents=True)
+    for name in ("catalogue.csv", "catalogue.nc"):
+        shutil.copy(tmp_path / "results" / name, tmp_path / "results" / "scenes" / "mine" / name)
     with zipfile.ZipFile(write("one.zip")) as archive:
         archive.extractall(tmp_path / "rebuilt")
     assert load(tmp_path / "rebuilt" / "inputs")["black"].scene == load(catalogue)["black"].scene

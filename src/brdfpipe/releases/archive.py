@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import json
 import zipfile
 from collections.abc import Iterator, Mapping
@@ -17,6 +16,7 @@ from brdfpipe.catalogue.material import raw_files
 from brdfpipe.catalogue.names import CALIBRATION, CALIBRATIONS, DESCRIPTION
 from brdfpipe.errors import BrdfpipeError, abbreviated, printable
 from brdfpipe.jobs.cleanup import STALE
+from brdfpipe.releases.differences import Release
 from brdfpipe.releases.metadata import METADATA, Part, crate
 from brdfpipe.scenes.scene import FOLDER, is_file
 
@@ -106,23 +106,10 @@ def _entry(name: str) -> zipfile.ZipInfo:
     return entry
 
 
-def _not_built(catalogue: Catalogue, results: Path) -> Iterator[str]:
-    """Materials that the tables of the results do not have, or not as built."""
-    built = {
-        row.get("material")
-        for scene in catalogue.scenes
-        for row in _rows(results / scene.folder / "catalogue.csv")
-        if row.get("status") != "failed"
-    }
-    return (name for name in catalogue.by_name if name not in built)
-
-
-def _rows(table: Path) -> list[dict[str, str]]:
-    try:
-        with table.open(encoding="utf-8", newline="") as lines:
-            return list(csv.DictReader(lines))
-    except OSError:
-        return []
+def _not_built(catalogue: Catalogue, results: Path) -> set[str]:
+    """Materials that the tables of the results do not have as built."""
+    built = {name for scene in catalogue.scenes for name in Release(results, scene.folder).rows}
+    return catalogue.by_name.keys() - built
 
 
 def _named(catalogue: Catalogue) -> Iterator[Path]:
