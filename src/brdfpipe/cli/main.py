@@ -1,7 +1,7 @@
 """The command line: ``brdfpipe build``, ``check``, ``diff``, ``verify``, ``release``, ``prune``, ``scenes`` and ``new``; the group ``rig`` is :mod:`brdfpipe.cli.rig`.
 
 Exit codes: 0 every material was built (or is ok), 1 at least one was not, 2 the command, the catalogue or the configuration
-cannot be used, 130 interrupted, 143 terminated. The verdict of a material's checks does not change the exit code.
+cannot be used, 130 interrupted, 143 terminated. The verdict of a material's checks changes it only with ``--fail-on``.
 """
 
 from __future__ import annotations
@@ -61,8 +61,8 @@ def build(
 ) -> int:
     """Build every material of CATALOGUE that changed, and the catalogue page; with NAMEs (* and ? match), these materials alone.
 
-    Exit code: 0 if every material was built, whatever the verdicts of its checks; 1 if one was not; 2 if the
-    catalogue or the configuration cannot be used.
+    Exit code: 0 if every material was built, whatever the verdicts of its checks without --fail-on; 1 if one was not; 2 if the
+    catalogue or the configuration cannot be used, or the command of --notify failed.
     """
     import json
 
