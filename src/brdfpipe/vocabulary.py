@@ -457,7 +457,7 @@ QUANTITIES: Mapping[str, Quantity] = {
     ),
     "error_bound": Quantity(
         "1",
-        "upper bound of the error of a candidate, with 99 % certainty, in the unit of the scene's metric; missing where too few were tried",
+        "upper bound of the error of a candidate, the expected error with a margin, in the unit of the scene's metric; missing where too few were tried",
         0,
         missing=True,
     ),

@@ -9,6 +9,7 @@ import samples
 
 from brdfpipe.facets.analytic_distributions import analytic
 from brdfpipe.facets.estimation import estimate
+from brdfpipe.masking.visibility_choice import THRESHOLD, choose
 from brdfpipe.optics.index import refractive_index
 from brdfpipe.scenes.features import FEATURES, features, in_spreads, slope_lowness
 from brdfpipe.scenes.model_inputs import ModelInputs
@@ -38,8 +39,8 @@ def test_a_feature_is_a_property_of_the_material_not_of_its_units():
     assert found["log_slope"] == pytest.approx(np.log(0.2 * np.sqrt(np.log(2))), abs=2e-3)
     assert found["log_mirror"] == pytest.approx(np.log(0.04), abs=1e-9)
     assert found["diffuse"] == pytest.approx(0.3, abs=1e-9)
-    without_scan = ("heights_known", "masking", "masking_in_peak", "slope_lowness", "height_skewness", "log_anisotropy")
-    assert [found[name] for name in without_scan] == [0] * 6
+    of_scan = ("heights_known", "masking", "masking_in_peak", "masking_over_limit", "slope_lowness", "height_skewness")
+    assert [found[name] for name in (*of_scan, "log_anisotropy")] == [0] * 7
     assert found["log_height"] == pytest.approx(np.log(3))
 
 
@@ -66,3 +67,15 @@ def test_the_masking_of_valleys_differs_from_smiths_the_other_way_round_than_tha
         for surface in (samples.surface(cells), samples.surface(-cells))
     )
     assert upright["masking"] < -0.05 < 0.05 < inverted["masking"]
+
+
+@pytest.mark.parametrize(("seed", "slope"), [(0, 0.05), (1, 0.4)])
+def test_masking_is_over_the_limit_where_auto_traces_it(seed, slope):
+    for height in (relief_maps.cells(192, seed), relief_maps.gaussian(slope, 192, seed, length=6.0)):
+        surface = samples.surface(height)
+        inputs = ModelInputs(refractive_index(1.5), None, estimate(surface), None, surface)
+        found, chosen = features(inputs), choose(surface, inputs.facets)
+        if found["masking_over_limit"] == 0:
+            assert chosen.attrs["masking"] == "height-correlated"
+        elif max(abs(found["masking"]), abs(found["masking_in_peak"])) > 2 * THRESHOLD:
+            assert chosen.attrs["masking"] == "measured"

@@ -11,7 +11,7 @@ from brdfpipe.facets.facet_dataset import radial_average
 from brdfpipe.facets.planar_density import PlanarDensity
 from brdfpipe.facets.radial_density import RadialDensity
 from brdfpipe.geometry import Array
-from brdfpipe.masking.visibility_choice import smith_errors
+from brdfpipe.masking.visibility_choice import THRESHOLD, smith_errors
 from brdfpipe.optics.fresnel_equations import fresnel
 from brdfpipe.optics.index import interpolate_index
 from brdfpipe.scenes.model_inputs import ONE_WAVELENGTH, ModelInputs
@@ -23,6 +23,7 @@ FEATURES = {
     "heights_known": 0.3,
     "masking_in_peak": 0.1,
     "masking": 0.1,
+    "masking_over_limit": 0.1,
     "slope_lowness": 0.15,
     "height_skewness": 0.3,
     "log_anisotropy": 0.4,
@@ -53,6 +54,8 @@ def features(inputs: ModelInputs) -> dict[str, float]:
     - ``heights_known``: 1 with a scan, 0 without
     - ``masking_in_peak``, ``masking``: ln of the light that facets reflect at 75° after Smith over that which is traced on the heights, in the
       peak and in all; 0 where none is traced
+    - ``masking_over_limit``: 1 where one of these ratios differs from 1 by more than the limit above which ``masking: auto`` traces masking
+      on the heights, else 0: models with Smith's masking have no error by it below the limit, and one above
     - ``slope_lowness``: correlation of height and squared slope on the map: negative, where steep facets lie in valleys; 0 without a map
     - ``height_skewness``: Ssk of the map, -2 to 2
     - ``log_anisotropy``: ln of the ratio of the slopes along two axes; 0 without a lay
@@ -77,6 +80,7 @@ def features(inputs: ModelInputs) -> dict[str, float]:
         result["heights_known"] = 1.0
         errors = smith_errors(inputs.surface, facets, GRAZING, TRACED)
         result["masking_in_peak"], result["masking"] = (math.log1p(errors[region]) for region in ("peak", "all"))
+        result["masking_over_limit"] = float(max(map(abs, errors.values())) > THRESHOLD)
         heights = inputs.surface["height"].values
         result["slope_lowness"] = slope_lowness(heights)
         centred = heights - np.nanmean(heights)

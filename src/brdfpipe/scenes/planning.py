@@ -34,7 +34,8 @@ class Judged(NamedTuple):
     expected_error: float
     """Infinite where it was tried on too few materials"""
     bound: float
-    """Upper bound of its error, with 99 % certainty; infinite where it was tried on too few materials"""
+    """Upper bound of its error, by which 99 % of random materials have errors within the tolerance of a shipped scene; infinite where it was
+    tried on too few materials"""
     cost: float
     """Expected processor time of its build [s]; NaN where it is not known"""
 
@@ -133,12 +134,14 @@ def _reason(choice: Judged, judged: Sequence[Judged], experience: Experience, to
         return "no errors were measured for this scene; `make tradeoff` measures those of the shipped scenes"
     if choice.candidate != FULLEST:
         return (
-            f"its error is expected to be {choice.expected_error:.2g} {unit}, and below {choice.bound:.2g} {unit} with 99 % certainty; "
+            f"its error is expected to be {choice.expected_error:.2g} {unit}, and with the margin for a single material {choice.bound:.2g} {unit}; "
             f"{tolerance:g} {unit} is accepted"
         )
     if all(math.isinf(one.bound) for one in judged if one.candidate != FULLEST):
         return f"no other model was tried on enough of the {len(experience.materials)} materials"
-    return f"no cheaper one has an error below {tolerance:g} {unit} with 99 % certainty"
+    return (
+        f"of no cheaper one the expected error, with the margin for a single material, is within {tolerance:g} {unit}"
+    )
 
 
 def chosen_candidate(plan: xr.Dataset) -> Candidate:

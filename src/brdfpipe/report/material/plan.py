@@ -26,7 +26,7 @@ def plan_section(datasets: Mapping[str, xr.Dataset]) -> Section:
     columns = (
         "Model, by what it leaves out",
         f"Expected error [{unit}]",
-        f"Upper bound, 99 % [{unit}]",
+        f"With the margin [{unit}]",
         "Processor time [s]",
         "",
     )
