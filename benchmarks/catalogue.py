@@ -26,7 +26,7 @@ import click
 
 PROJECT = Path(__file__).resolve().parents[1]
 RATIO_LIMIT = 1.5
-SECOND_RUN_LIMIT = 5.0
+SECOND_RUN_LIMIT = 3.0
 
 Record = dict[str, Any]
 
