@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from brdfpipe.jobs.summary import read_verdicts
+from brdfpipe.jobs.summary import Summary, read_verdicts
 
 
 def test_a_verdict_is_read_with_all_its_reasons(tmp_path: Path) -> None:
@@ -21,3 +21,9 @@ def test_a_verdict_is_read_with_all_its_reasons(tmp_path: Path) -> None:
 
 def test_without_a_table_no_verdict_is_known(tmp_path: Path) -> None:
     assert read_verdicts([tmp_path], ["m"]) == {}
+
+
+def test_no_page_is_named_where_the_scene_makes_none() -> None:
+    summary = Summary(("a",), (), {}, 1, None, 1.0)
+    assert "Open" not in summary.text
+    assert summary.plain["page"] is None

@@ -92,14 +92,16 @@ def build(
     notices = summary.notices(catalogue.folder, deleted, replaced, stale)
     over = () if dry_run else budgets.exceeded(results, catalogue, built_materials)
     reasons = {name: f"{entry['stage']}: {entry['message']}" for name, entry in failed_materials.items()}
+    page = results / catalogue.scene.folder / "index.html"
+    if names:
+        first = min(selected)
+        page = results / catalogue.scene_of(first).folder / first / "report.html"
     return Summary(
         built=tuple(name for name in built_materials if name in touched),
         current=tuple(name for name in built_materials if name not in touched),
         failures={name: reason for name, reason in {**catalogue.failures, **reasons}.items() if name in selected},
         jobs=sum(rule != "all" for rule, _ in run.done),
-        page=results / catalogue.scene_of(first).folder / first / "report.html"
-        if names and (first := min(selected))
-        else results / catalogue.scene.folder / "index.html",
+        page=page if dry_run or page.exists() else None,
         seconds=time.perf_counter() - started,
         dry_run=dry_run,
         verdicts={name: verdict for name, (verdict, _) in verdicts.items()},

@@ -30,8 +30,8 @@ class Summary:
     failures: Mapping[str, str]
     """Material that could not be built → reason, in one line."""
     jobs: int
-    page: Path
-    """Of the catalogue; of the first material, where only some were built."""
+    page: Path | None
+    """Of the catalogue; of the first material, where only some were built; None if there is no such page."""
     seconds: float
     dry_run: bool = False
     verdicts: Mapping[str, str] = field(default_factory=dict)
@@ -47,7 +47,7 @@ class Summary:
     def plain(self) -> dict[str, Any]:
         """Plain values, for JSON."""
         return asdict(self) | {
-            "page": str(self.page),
+            "page": str(self.page) if self.page else None,
             "pages": {name: str(page) for name, page in self.pages.items()},
         }
 
@@ -68,7 +68,9 @@ class Summary:
             f"{_count(total, 'material')}: {len(self.built)} built, {len(self.current)} up to date, "
             f"{len(self.failures)} not built ({_count(self.jobs, 'job')} in {self.seconds:.1f} s)"
         )
-        return "\n".join([counts, *not_built, *self._verdict_lines, *self.notices, f"Open {self.page}"])
+        return "\n".join(
+            [counts, *not_built, *self._verdict_lines, *self.notices, *([f"Open {self.page}"] if self.page else [])]
+        )
 
     @property
     def _verdict_lines(self) -> list[str]:
