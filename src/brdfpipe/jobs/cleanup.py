@@ -19,6 +19,10 @@ STALE = "STALE.txt"
 """File that marks the results of a material as older than the catalogue."""
 
 
+NOTES = ("logs", "failures")
+"""Folders of results that hold notes of builds."""
+
+
 def remove_leftovers(results: Path, log: str) -> None:
     """Remove unfinished files, failures and the log of an earlier build."""
     forget_failures(results)

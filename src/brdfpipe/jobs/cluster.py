@@ -1,6 +1,6 @@
 """What a run of snakemake on the node of a cluster needs beside what snakemake hands on to it.
 
-A group job of a scheduler is a snakemake of its own, which gets no profile. So it is told here what the default profile says.
+A group job of a scheduler is a snakemake of its own, which gets no profile. So the settings of the default profile are made here.
 """
 
 from __future__ import annotations

@@ -20,7 +20,7 @@ from typing import Any
 from brdfpipe import store
 from brdfpipe.catalogue.names import CALIBRATIONS
 from brdfpipe.errors import BrdfpipeError
-from brdfpipe.scenes.scene import FOLDER
+from brdfpipe.scenes.scene import parts_within_scene
 
 Files = Mapping[str, Any]
 """Name → path, or list of paths."""
@@ -163,7 +163,7 @@ def _owner(path: Path) -> str | None:
     """The material or calibration whose result a path in the results is; None for a raw file."""
     if path.is_absolute():
         return None
-    parts = path.parts[2:] if path.parts[0] == FOLDER else path.parts
+    parts = parts_within_scene(path)
     if parts[0] == CALIBRATIONS and len(parts) > 1:
         return f"{CALIBRATIONS}.{parts[1].removesuffix('.nc')}"
     return parts[0] if len(parts) > 1 else None

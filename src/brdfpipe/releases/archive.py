@@ -15,15 +15,14 @@ from brdfpipe.catalogue.catalogue import Catalogue
 from brdfpipe.catalogue.material import raw_files
 from brdfpipe.catalogue.names import CALIBRATION, CALIBRATIONS, DESCRIPTION
 from brdfpipe.errors import BrdfpipeError, abbreviated, printable
-from brdfpipe.jobs.cleanup import STALE
+from brdfpipe.jobs.cleanup import NOTES, STALE
 from brdfpipe.releases.differences import Release
-from brdfpipe.releases.metadata import METADATA, Part, crate
-from brdfpipe.scenes.scene import FOLDER, is_file
+from brdfpipe.releases.metadata import METADATA, README, Part, crate
+from brdfpipe.scenes.scene import is_file, parts_within_scene
 
 INPUTS, RESULTS, SOFTWARE = "inputs", "results", "software"
 """Folders of the archive."""
 
-_NOT_RESULTS = ("logs", "failures")
 _EPOCH = (1980, 1, 1, 0, 0, 0)
 """The earliest time that a zip archive can hold: equal releases have equal bytes."""
 
@@ -91,7 +90,7 @@ def write_archive(
         store.atomic_path(target, size_hint=sum(part.size for part in parts)) as temporary,
         zipfile.ZipFile(temporary, "w", zipfile.ZIP_DEFLATED, compresslevel=6) as archive,
     ):
-        for name, text in ((METADATA, metadata), ("README.txt", readme)):
+        for name, text in ((METADATA, metadata), (README, readme)):
             archive.writestr(_entry(name), text.encode("utf-8"))
         for part in parts:
             with files[part.name].open("rb") as source, archive.open(_entry(part.name), "w", force_zip64=True) as copy:
@@ -138,7 +137,7 @@ def _files(catalogue: Catalogue, results: Path, config: Path | None) -> Iterator
     for path in _regular_files(results):
         place = path.relative_to(results)
         hidden = any(part.startswith(".") for part in place.parts)
-        if not hidden and place.parts[0] not in _NOT_RESULTS and not stale.intersection(path.parents):
+        if not hidden and place.parts[0] not in NOTES and not stale.intersection(path.parents):
             yield f"{RESULTS}/{place.as_posix()}", path, _material(place, catalogue)
     project = installation.project_folder()
     config = config or project / "config" / "config.yaml"
@@ -153,7 +152,7 @@ def _files(catalogue: Catalogue, results: Path, config: Path | None) -> Iterator
 
 def _material(place: Path, catalogue: Catalogue) -> str:
     """The material of a file in the results; empty for that of a catalogue or a calibration."""
-    parts = place.parts[2:] if place.parts[0] == FOLDER else place.parts
+    parts = parts_within_scene(place)
     return parts[0] if len(parts) > 1 and parts[0] in catalogue.by_name else ""
 
 

@@ -16,6 +16,7 @@ from urllib.parse import quote
 
 PROFILE = "https://w3id.org/ro/crate/1.1"
 METADATA = "ro-crate-metadata.json"
+README = "README.txt"
 
 _FORMATS = {".nc": "application/x-netcdf", ".yaml": "application/yaml", ".lock": "text/plain", ".brdf": "text/plain"}
 

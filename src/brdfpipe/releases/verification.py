@@ -11,14 +11,10 @@ from pathlib import Path
 from urllib.parse import unquote
 
 from brdfpipe.errors import BrdfpipeError
-from brdfpipe.jobs.cleanup import STALE
+from brdfpipe.jobs.cleanup import NOTES, STALE
 from brdfpipe.jobs.index import INDEX, Index
-from brdfpipe.releases.metadata import METADATA
+from brdfpipe.releases.metadata import METADATA, README
 from brdfpipe.surfaces.archives import DAMAGE
-
-_README = "README.txt"
-OWN_FOLDERS = ("logs", "failures", ".snakemake")
-"""Folders of results that hold notes of builds."""
 
 _MOST_METADATA = 2**28
 """Bytes of metadata that are read: some 100 000 files."""
@@ -68,8 +64,14 @@ def verify_results(results: Path) -> list[str]:
         elif index.damaged([path]):
             problems.append(f"{path}: is not what the build wrote")
     present = {path.relative_to(results) for path in results.rglob("*") if path.is_file()}
-    unknown = {str(path) for path in present if path.parts[0] not in OWN_FOLDERS and not path.name.startswith(".")}
-    unknown = {path for path in unknown if not path.startswith(".") and Path(path).name != STALE}
+    unknown = {
+        str(path)
+        for path in present
+        if path.parts[0] not in NOTES
+        and not path.parts[0].startswith(".")
+        and path.name != STALE
+        and not path.name.startswith(".")
+    }
     return problems + [f"{path}: was written by no build" for path in sorted(unknown - written)]
 
 
@@ -95,7 +97,7 @@ def _listed(archive: zipfile.ZipFile, path: Path) -> dict[str, tuple[int, str]]:
 
 
 def _problems(archive: zipfile.ZipFile, name: str, listed: Mapping[str, tuple[int, str]]) -> Iterator[str]:
-    if name in (METADATA, _README):
+    if name in (METADATA, README):
         return
     if name not in listed:
         yield f"{name}: is not in the metadata"

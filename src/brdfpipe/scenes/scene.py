@@ -137,6 +137,11 @@ def is_file(value: str) -> bool:
     return "/" in value or "\\" in value or Path(value).suffix in (".yaml", ".yml")
 
 
+def parts_within_scene(place: Path) -> tuple[str, ...]:
+    """The parts of a path in the results after the folder of its scene; all of them for the default scene."""
+    return place.parts[2:] if place.parts[0] == FOLDER else place.parts
+
+
 def load_scene(value: str | Path, folder: Path | None = None) -> Scene:
     """A scene by the name of a shipped one, or by its file.
 
