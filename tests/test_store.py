@@ -161,6 +161,54 @@ def test_a_dataset_of_another_material_than_its_place_says_is_refused(tmp_path):
     store.open_dataset(path)
 
 
+def test_a_shared_dataset_is_read_again_after_its_file_is_written(tmp_path):
+    path = tmp_path / "a.nc"
+    save(samples.spectrum(), path)
+    shared = store.shared_dataset(path, "spectrum")
+    assert store.shared_dataset(path) is shared
+    xr.testing.assert_identical(shared, store.open_dataset(path))
+    with pytest.raises(VocabularyError):
+        store.shared_dataset(path, "bsdf")
+
+    save(samples.beckmann_bsdf(), path)
+    assert store.shared_dataset(path).attrs["kind"] == "bsdf"
+
+
+def test_a_damaged_file_is_not_read_from_what_is_shared(tmp_path):
+    path = tmp_path / "a.nc"
+    save(samples.spectrum(), path)
+    store.shared_dataset(path)
+    content = path.read_bytes()
+    path.write_bytes(content[: len(content) // 2])
+    with pytest.raises(store.StoreError, match="damaged"):
+        store.shared_dataset(path)
+    path.unlink()
+    with pytest.raises(store.StoreError, match="no such dataset"):
+        store.shared_dataset(path)
+
+
+def test_shared_datasets_are_limited(tmp_path, monkeypatch):
+    paths = [tmp_path / "a.nc", tmp_path / "b.nc"]
+    for path in paths:
+        save(samples.spectrum(), path)
+    monkeypatch.setattr(store, "_MOST_SHARED", 1)
+    first = store.shared_dataset(paths[0])
+    assert store.shared_dataset(paths[0]) is first
+    store.shared_dataset(paths[1])
+    assert store.shared_dataset(paths[0]) is not first
+
+
+def test_a_shared_dataset_of_another_material_is_refused(tmp_path):
+    path = tmp_path / "grey" / "spectrum.nc"
+    save(samples.spectrum(), path, material="red")
+    store.shared_dataset(path)
+    with (
+        store.owners_checked(lambda path: path.parent.name),
+        pytest.raises(store.StoreError, match="is a dataset of the material red, not of grey"),
+    ):
+        store.shared_dataset(path)
+
+
 def test_an_error_of_another_cause_is_not_that_of_an_opened_file(tmp_path):
     path = tmp_path / "a.nc"
     save(samples.spectrum(), path)

@@ -11,6 +11,7 @@ import json
 import os
 import re
 import shutil
+from collections import OrderedDict
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from contextvars import ContextVar
@@ -30,6 +31,12 @@ SOFTWARE = ("brdfpipe", "netCDF4", "numpy", "scipy", "xarray")
 
 _NOT_IN_DIGEST = ("digest", "software")
 
+
+_MOST_SHARED = 64 * 2**20
+"""Datasets that :func:`shared_dataset` keeps, together [bytes]."""
+
+_shared: OrderedDict[tuple[int, ...], xr.Dataset] = OrderedDict()
+"""By what identifies the content of a file, the least recently used first."""
 
 _owner: ContextVar[Callable[[Path], str | None]] = ContextVar("owner", default=lambda path: None)
 """See :func:`owners_checked`."""
@@ -66,6 +73,30 @@ def open_dataset(path: str | os.PathLike[str], kind: str | None = None) -> xr.Da
     _check_owner(dataset, path)
     kind = kind or dataset.attrs.get("kind")
     return vocabulary.validate(dataset, kind, str(path)) if kind else dataset
+
+
+def shared_dataset(path: str | os.PathLike[str], kind: str | None = None) -> xr.Dataset:
+    """As :func:`open_dataset`, but the same dataset for all who read the same file, as long as it is not written again.
+
+    Stages of a material that follow each other in a process read its BSDF once, and share what is prepared from it. Nobody may change
+    the dataset or its arrays.
+    """
+    try:
+        found = Path(path).stat()
+    except OSError:
+        return open_dataset(path, kind)
+    # A file that is written anew is another inode, and one that is changed in place has another time of change.
+    key = found.st_dev, found.st_ino, found.st_size, found.st_mtime_ns, found.st_ctime_ns
+    if key not in _shared:
+        _shared[key] = open_dataset(path)
+    _shared.move_to_end(key)
+    dataset = _shared[key]
+    while len(_shared) > 1 and sum(each.nbytes for each in _shared.values()) > _MOST_SHARED:
+        _shared.popitem(last=False)
+    _check_owner(dataset, Path(path))
+    return (
+        dataset if kind is None or kind == dataset.attrs.get("kind") else vocabulary.validate(dataset, kind, str(path))
+    )
 
 
 @contextmanager

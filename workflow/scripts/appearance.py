@@ -5,7 +5,7 @@ from brdfpipe.appearance.computation import compute_appearance
 
 def main(input, output, params):
     """Gloss, haze, colours and further quantities of a BRDF."""
-    bsdf = store.open_dataset(input["bsdf"], "bsdf")
+    bsdf = store.shared_dataset(input["bsdf"], "bsdf")
     spec = params["spec"]
     cabin = {"cabin": cabin_of(spec["cabin"])} if "cabin" in spec else {}
     store.save_dataset(

@@ -4,7 +4,7 @@ from brdfpipe.bsdf import checks
 
 def main(input, output, params):
     """Reciprocity, energy and closure of a BRDF."""
-    bsdf = store.open_dataset(input["bsdf"], "bsdf")
+    bsdf = store.shared_dataset(input["bsdf"], "bsdf")
     store.save_dataset(
         checks.check(bsdf), output["checks"], stage="checks", material=params["material"], inputs={"bsdf": bsdf}
     )

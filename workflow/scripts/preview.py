@@ -4,7 +4,7 @@ from brdfpipe.appearance.preview import png, preview
 
 def main(input, output, params):
     """A picture of the material."""
-    bsdf = store.open_dataset(input["bsdf"], "bsdf")
+    bsdf = store.shared_dataset(input["bsdf"], "bsdf")
     picture = store.save_dataset(
         preview(bsdf, **params["spec"]),
         output["preview"],

@@ -5,7 +5,7 @@ from brdfpipe.bsdf.nonspectral import nonspectral
 
 def main(input, output, params):
     """The non-spectral BSDF on the grid of directions of the configuration."""
-    spec, bsdf = params["spec"], store.open_dataset(input["bsdf"], "bsdf")
+    spec, bsdf = params["spec"], store.shared_dataset(input["bsdf"], "bsdf")
     grid = tabulation.grid_for(bsdf, spec)
     make = tabulation.faithful_table if spec["refine"] else tabulation.tabulate
     store.save_dataset(

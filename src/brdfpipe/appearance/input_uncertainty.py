@@ -64,7 +64,7 @@ def with_input_uncertainty(
         parts |= _meter_parts(appearance, bsdf, windows)
     if "lab" in appearance:
         parts |= _colour_parts(appearance, bsdf, geometries)
-    sources = [*dict.fromkeys(SourceChanges(bsdf).sources), INSTRUMENT]
+    sources = [*dict.fromkeys(SourceChanges.of(bsdf).sources), INSTRUMENT]
     result = appearance.assign_coords(source=sources)
     # A total reflectance is as uncertain as its spectrum.
     total_known = "spectrum" not in str(bsdf.attrs.get(NOT_STATED, "")).split(", ")
@@ -101,7 +101,7 @@ def with_transmission_uncertainty(appearance: xr.Dataset, bsdf: xr.Dataset) -> x
     names = [name for name in ("luminous_transmittance", "transmission_haze") if name in appearance]
     if not names or not uncertain(bsdf):
         return appearance
-    changes, reduced = SourceChanges(bsdf), SourceChanges(nonspectral(bsdf))
+    changes, reduced = SourceChanges.of(bsdf), SourceChanges.of(nonspectral(bsdf))
     found = {
         "luminous_transmittance": [luminous_transmittance(bsdf, one) for one in (changes.given, *changes.changed)],
         "transmission_haze": [transmission_haze(bsdf, one) for one in (reduced.given, *reduced.changed)],
@@ -124,7 +124,7 @@ def _meter_parts(
 ) -> dict[str, Mapping[str, Array]]:
     """Standard uncertainty of gloss, haze and reflectance haze from each source."""
     sample = apertures.sample_of(bsdf, None)
-    changes = SourceChanges(sample.bsdf)
+    changes = SourceChanges.of(sample.bsdf)
     isotropic = representation(sample.bsdf).isotropic
     azimuths = np.asarray(np.zeros(1) if isotropic else (representation(sample.bsdf).lay or 0.0) + _TURNS, dtype=float)
     angles = appearance["gloss_angle"].values.tolist() if "gloss" in appearance else []
@@ -191,7 +191,7 @@ def _colour_parts(
     appearance: xr.Dataset, bsdf: xr.Dataset, geometries: Sequence[str]
 ) -> dict[str, Mapping[str, Array]]:
     """Standard uncertainty of colours, flop index and luminous reflectance from each source."""
-    changes = SourceChanges(bsdf)
+    changes = SourceChanges.of(bsdf)
     seen_under = str(appearance.attrs["illuminant"]), int(appearance.attrs["observer"])
     names = [str(name) for name in appearance["geometry"].values]
     three = [names.index(name) for name in FLOP_GEOMETRIES if name in names]

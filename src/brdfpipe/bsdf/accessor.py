@@ -116,7 +116,7 @@ class BSDFAccessor:
 
     @cached_property
     def _changes(self) -> SourceChanges:
-        return SourceChanges(self._dataset)
+        return SourceChanges.of(self._dataset)
 
     def _uncertainty_of(
         self, of_representation: Callable[..., Array], of_changes: Callable[..., Array], source: str | None

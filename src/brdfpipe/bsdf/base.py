@@ -64,6 +64,8 @@ class Representation(ABC):
 
     def __init__(self, dataset: xr.Dataset) -> None:
         self.dataset = dataset
+        self.derived: dict[str, object] = {}
+        """What other modules have prepared from it, by their names"""
 
     # --- values
 

@@ -60,9 +60,19 @@ class SourceChanges:
     bsdf : kind ``bsdf``; one without uncertain inputs has no changes
     """
 
-    def __init__(self, bsdf: xr.Dataset) -> None:
+    def __init__(self, bsdf: xr.Dataset, given: Representation | None = None) -> None:
         self._bsdf = bsdf
-        self.given: Representation = representation(bsdf)
+        self.given: Representation = representation(bsdf) if given is None else given
+
+    @classmethod
+    def of(cls, bsdf: xr.Dataset) -> SourceChanges:
+        """Those of a BSDF, the same for all who ask as long as its representation lives."""
+        given = representation(bsdf)
+        found = given.derived.get(__name__)
+        if not isinstance(found, cls):
+            # Of the representation's own dataset: another one would be kept alive by its own representation.
+            found = given.derived[__name__] = cls(given.dataset, given)
+        return found
 
     @cached_property
     def sources(self) -> tuple[str, ...]:
@@ -73,7 +83,9 @@ class SourceChanges:
     @cached_property
     def changed(self) -> tuple[Reflector, ...]:
         """The BSDF after each change."""
-        return (*self.of_inputs, _WithModelError(self._bsdf)) if "relative_error" in self._bsdf else self.of_inputs
+        if "relative_error" not in self._bsdf:
+            return self.of_inputs
+        return (*self.of_inputs, _WithModelError(self.given))
 
     @cached_property
     def of_inputs(self) -> tuple[Representation, ...]:
@@ -86,7 +98,7 @@ class SourceChanges:
         bsdf, names, plain = self._bsdf, changing(self._bsdf), without_changes(self._bsdf)
         rows = range(bsdf.sizes.get(DIMENSION, 0))
         return [
-            plain.assign({name: after for name in names if (after := _after(bsdf, name, row)) is not None})
+            _with_variables(plain, {name: after for name in names if (after := _after(bsdf, name, row)) is not None})
             for row in rows
         ]
 
@@ -169,6 +181,15 @@ def _is_flattened(change: xr.DataArray, mean: xr.DataArray) -> bool:
     return any(change.sizes[dim] != mean.sizes[dim] for dim in set(change.dims) & set(mean.dims))
 
 
+def _with_variables(dataset: xr.Dataset, variables: Mapping[str, xr.Variable]) -> xr.Dataset:
+    """The dataset with other values of some variables; those that it has keep their dimensions and attributes."""
+    # Its own variables are replaced one by one: `assign` would compare all coordinates, which takes ten times as long.
+    own = {name: variable for name, variable in variables.items() if name in dataset.data_vars}
+    data = {name: (own.get(str(name), variable)).data for name, variable in dataset.data_vars.items()}
+    changed = dataset.copy(data=data)
+    return changed if len(own) == len(variables) else changed.assign(variables)
+
+
 def _after(bsdf: xr.Dataset, name: str, row: int) -> xr.Variable | None:
     """A variable after one of its changes, within the range of its quantity; None if it does not change."""
     # Plain variables: xarray would align the coordinates of each.
@@ -189,8 +210,8 @@ def _after(bsdf: xr.Dataset, name: str, row: int) -> xr.Variable | None:
 class _WithModelError:
     """A BSDF whose surface reflects more light, by the relative error of its model, and lets less of it straight through."""
 
-    def __init__(self, bsdf: xr.Dataset) -> None:
-        self._given = representation(bsdf)
+    def __init__(self, given: Representation) -> None:
+        bsdf, self._given = given.dataset, given
         bare = self._given.without_diffuse()
         self._bare_dataset = bsdf if bare is None else bare
         self._bare = representation(self._bare_dataset)

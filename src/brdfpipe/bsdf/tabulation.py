@@ -130,7 +130,7 @@ def _with_uncertainty(table: xr.Dataset, bsdf: xr.Dataset) -> xr.Dataset:
     axes = {name: table[name].values for name in layout.named(layout.azimuth in dims)}
     averaged = not representation(bsdf).isotropic and layout.azimuth not in axes
     if uncertain(bsdf):
-        changes = SourceChanges(bsdf)
+        changes = SourceChanges.of(bsdf)
         symmetric = changes.given.mirror_symmetric
         given = table["brdf"].values if "wavelength" in dims else table["brdf"].values[..., None]
         variance = np.zeros_like(given)

@@ -171,7 +171,7 @@ def _uncertainty_note(model: xr.Dataset | None) -> list[str]:
     """Relative standard uncertainty of the BRDF in the mirror direction; none where no input has a known one."""
     if model is None or not uncertain(model):
         return []
-    changes, theta = SourceChanges(model), _STATED_AT
+    changes, theta = SourceChanges.of(model), _STATED_AT
     mirror = theta, np.zeros_like(theta), theta, np.full_like(theta, 180.0), None
     brdf = changes.given.evaluate(*mirror)[:, 0]
     u = in_quadrature(changes.by_source(changes.of_brdf(*mirror)[..., 0]))

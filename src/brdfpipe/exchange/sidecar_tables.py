@@ -56,7 +56,7 @@ def _total_uncertainty(bsdf: xr.Dataset) -> Array | None:
     if uncertain(bsdf) and "spectrum" not in str(bsdf.attrs.get(NOT_STATED, "")).split(", "):
         from brdfpipe.appearance.colours import total_reflectance
 
-        changes = SourceChanges(bsdf)
+        changes = SourceChanges.of(bsdf)
         given, *changed = (total_reflectance(bsdf, one)[1] for one in (changes.given, *changes.changed))
         return in_quadrature(changes.by_source(np.array(changed) - given))
     evaluator = representation(bsdf)
