@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.interpolate import RectBivariateSpline
 
 from brdfpipe.appearance import preview_geometry as shots
 
@@ -50,3 +51,12 @@ def test_slowly_varying_light_is_interpolated_between_the_points_of_the_grid(sho
         )
 
     assert np.abs(shot.upsampled(slow(shot.coarse)) - slow(shot.pixels)).max() < 2e-3
+
+
+def test_light_between_the_coarse_points_is_that_of_an_interpolating_spline():
+    shot = shots.panel(64)
+    values = np.random.default_rng(3).normal(size=(len(shot.coarse.normal), 2))
+    nodes = np.arange(shot.grid[0])
+    splines = [RectBivariateSpline(nodes, nodes, column.reshape(shot.grid)) for column in values.T]
+    expected = np.stack([spline.ev(*shot.grid_position) for spline in splines], axis=-1)
+    np.testing.assert_allclose(shot.upsampled(values), expected, atol=1e-11)

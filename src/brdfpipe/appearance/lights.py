@@ -6,13 +6,14 @@ has one radiance. The edges of a box are Gaussian integrals, which a Gaussian bl
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
+from brdfpipe.content_cache import cached_by_content
 from brdfpipe.errors import BrdfpipeError
 from brdfpipe.geometry import Array
 
@@ -94,6 +95,20 @@ class Lights:
         """Lookup tables of the same lights."""
         return Filtered(self)
 
+    @cached_property
+    def of_pixels(self) -> Callable[[Array, Array], Array]:
+        """Radiance from single directions (pixels, 3), each blurred by the spread of its pixel (pixels,) [radian], as a function of both.
+
+        The last few results are kept: the directions that smooth surfaces mirror are the same for all materials.
+        """
+        return cached_by_content(4)(self._of_pixels)
+
+    def _of_pixels(self, directions: Array, spread: Array) -> Array:
+        light, order = np.empty(len(spread)), np.argsort(spread, kind="stable")
+        for group in np.array_split(order, min(32, len(order))):
+            light[group] = self.radiance(directions[group], float(spread[group].mean()))
+        return light
+
 
 LIGHTS: Mapping[str, Lights] = {
     "studio": Lights(
@@ -119,11 +134,17 @@ def lights(name: str) -> Lights:
     return LIGHTS[name]
 
 
+_DIRECTION_BLUR = 0.75
+"""Standard deviation of the blur over the distance of nodes that share a hemisphere evenly."""
+
+_MOST_LOOKUPS = 2**17
+"""Pairs of point and direction that are looked up together."""
+
 _LEVELS = 8
 _FIRST_BLUR = 0.01
 _COARSEST_SIZE = 320
 """Texels along the side of the coarsest level."""
-_STRAIGHT_DOWN = np.float32(-1 + 2e-6)
+STRAIGHT_DOWN = np.float32(-1 + 2e-6)
 """z below which the map has no azimuth; a corner of it contains the radiance from there."""
 
 
@@ -144,20 +165,47 @@ class Filtered:
 
     def __call__(self, x: Floats, y: Floats, z: Floats, blur: Array) -> Floats:
         """Radiance from unit vectors, each (points, nodes), blurred by (nodes,) [radian]."""
-        level = np.abs(np.log(np.maximum(blur, 1e-9)[:, None] / np.maximum(self.blur, _FIRST_BLUR / 2))).argmin(axis=1)
-        size, start = self.size[level], self.start[level]
-        scale = (size / (2 * np.sqrt(2.0))).astype(np.float32)
+        size, start, scale, half = self.levels(blur)
         stretch = scale / np.sqrt(np.maximum(1 + z, np.float32(1e-6)))
-        half = (size / 2).astype(np.float32)
         # In single precision, positions on the rim of the map (straight down) are slightly off to either side.
         column = np.clip((x * stretch + half).astype(np.int32), 0, size - 1)
         row = np.clip((y * stretch + half).astype(np.int32), 0, size - 1)
-        if z.min() < _STRAIGHT_DOWN:
-            row = np.where(z < _STRAIGHT_DOWN, 0, row)
+        if z.min() < STRAIGHT_DOWN:
+            row = np.where(z < STRAIGHT_DOWN, 0, row)
         row *= size
         row += column
         row += start
         return np.take(self.table, row)
+
+    @cached_property
+    def in_frames(self) -> Callable[[Array, Array], Floats]:
+        """Radiance (points, nodes) from directions (nodes, 3) in the frames of points (points, 3, 3), as a function of frames and directions.
+
+        The nodes share a hemisphere evenly; each light is blurred by the share of one. The last few results are kept: they are the same for
+        all isotropic materials.
+        """
+        return cached_by_content(2)(self._in_frames)
+
+    def _in_frames(self, frame: Array, directions: Array) -> Floats:
+        blur = np.full(len(directions), _DIRECTION_BLUR * np.sqrt(2 * np.pi / len(directions)))
+        light = np.empty((len(frame), len(directions)), dtype=np.float32)
+        step = max(1, _MOST_LOOKUPS // len(directions))
+        for start in range(0, len(frame), step):
+            at = slice(start, start + step)
+            x, y, z = ((frame[at, :, axis] @ directions.T).astype(np.float32) for axis in range(3))
+            light[at] = self(x, y, z, blur)
+        return light
+
+    def levels(self, blur: Array) -> tuple[NDArray[np.int32], NDArray[np.int32], Floats, Floats]:
+        """Of the levels that are blurred most nearly as (nodes,) [radian]: size, first texel, texels for 1 of the map, and half the size."""
+        level = np.abs(np.log(np.maximum(blur, 1e-9)[:, None] / np.maximum(self.blur, _FIRST_BLUR / 2))).argmin(axis=1)
+        size = self.size[level]
+        return (
+            size,
+            self.start[level],
+            (size / (2 * np.sqrt(2.0))).astype(np.float32),
+            (size / 2).astype(np.float32),
+        )
 
 
 def _texels(size: int) -> Array:

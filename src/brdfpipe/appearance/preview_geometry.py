@@ -6,11 +6,14 @@ a point depends only on its normal, the direction to the camera and the directio
 
 from __future__ import annotations
 
-from functools import partial
+from functools import lru_cache, partial
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_array
 
+from brdfpipe.content_cache import cached_by_content
 from brdfpipe.geometry import Array
 
 SPHERE_RADIUS = 0.45
@@ -22,6 +25,9 @@ PANEL_DISTANCE = 5.0
 """Distance from the camera to the panel's centre; the panel's side is 2."""
 PANEL_FIELD = 0.262
 """Tangent of half the field of view."""
+
+_WRAPPED = 4
+"""Nodes of a polar grid beyond its ends."""
 
 _CAMERA = np.array([0.0, -1.0, 0.0])
 
@@ -56,20 +62,58 @@ class Shot(NamedTuple):
 
     def upsampled(self, values: Array) -> Array:
         """Values of the coarse grid (points, channels) at the pixels (n, channels), by cubic splines."""
-        from scipy.interpolate import RectBivariateSpline
-
-        field = values.reshape(*self.grid, -1)
-        first, second = np.arange(self.grid[0]), np.arange(self.grid[1])
+        field, position = values.reshape(*self.grid, -1), self.grid_position
         if self.polar:
-            turns = self.grid[1]
             # Beyond the centre a ring continues half a turn away.
-            field = np.concatenate([np.roll(field[4:0:-1], turns // 2, axis=1), field])
-            field = np.concatenate([field[:, -4:], field, field[:, :4]], axis=1)
-            first, second = np.arange(-4, self.grid[0]), np.arange(-4, turns + 4)
-        channels = [RectBivariateSpline(first, second, channel) for channel in np.moveaxis(field, -1, 0)]
-        return np.stack([channel.ev(*self.grid_position) for channel in channels], axis=-1)
+            field = np.concatenate([np.roll(field[_WRAPPED:0:-1], self.grid[1] // 2, axis=1), field])
+            field = np.concatenate([field[:, -_WRAPPED:], field, field[:, :_WRAPPED]], axis=1)
+            position = position + _WRAPPED
+        return _splines(np.array(field.shape[:2]), position)(field)
 
 
+class _Splines(NamedTuple):
+    """Cubic splines through the values of a grid, at fixed positions: linear in the values, whatever these are."""
+
+    coefficients: tuple[Array, Array]
+    """Values along either axis to coefficients"""
+    basis: csr_array
+    """(positions, coefficients)"""
+
+    def __call__(self, field: Array) -> Array:
+        """Values (first, second, channels) to those at the positions, (positions, channels)."""
+        first, second = self.coefficients
+        solved = np.einsum("ai,ijc->ajc", first, field)
+        solved = np.einsum("bj,ajc->abc", second, solved)
+        return np.asarray(self.basis @ solved.reshape(-1, field.shape[-1]))
+
+
+@cached_by_content(4)
+def _splines(shape: NDArray[np.int64], position: Array) -> _Splines:
+    """The splines over a grid of a shape, at positions (2, n) of it; the same pixels for every material."""
+    (solve_first, first, of_first), (solve_second, second, of_second) = (
+        _basis(int(count), at) for count, at in zip(shape, position, strict=True)
+    )
+    weights = of_first[:, :, None] * of_second[:, None, :]
+    columns = first[:, :, None] * shape[1] + second[:, None, :]
+    ends = np.arange(len(weights) + 1) * weights[0].size
+    basis = csr_array((weights.ravel(), columns.ravel(), ends), shape=(len(weights), int(np.prod(shape))))
+    return _Splines((solve_first, solve_second), basis)
+
+
+def _basis(count: int, position: Array) -> tuple[Array, NDArray[np.int64], Array]:
+    """Along one axis: values to coefficients; and of each position the four coefficients and their weights."""
+    from scipy.interpolate import BSpline
+
+    nodes = np.arange(float(count))
+    # Without a knot at the second node and the last but one.
+    knots = np.concatenate([np.zeros(4), nodes[2:-2], np.full(4, nodes[-1])])
+    values = BSpline.design_matrix(nodes, knots, 3).toarray()
+    at = BSpline.design_matrix(np.clip(position, 0, nodes[-1]), knots, 3)
+    columns: NDArray[np.int64] = at.indices.reshape(-1, 4).astype(np.int64)
+    return np.asarray(np.linalg.inv(values)), columns, np.asarray(at.data.reshape(-1, 4))
+
+
+@lru_cache(maxsize=4)
 def sphere(side: int, rings: int = 40, turns: int = 72) -> Shot:
     """A distant sphere, brushed along its circles of latitude."""
     x, z = _pixels(side, 0.5 / SPHERE_RADIUS)
@@ -101,6 +145,7 @@ def _on_sphere(sine: Array, turn: Array, width: float) -> Points:
     return Points(normal, np.broadcast_to(_CAMERA, normal.shape), lay, width / np.sqrt(cosine))
 
 
+@lru_cache(maxsize=4)
 def panel(side: int, lines: int = 24) -> Shot:
     """A square panel that leans back, brushed from left to right."""
     normal = np.array(PANEL_NORMAL) / np.linalg.norm(PANEL_NORMAL)

@@ -16,7 +16,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from brdfpipe.appearance.lights import Floats, Lights, golden_spiral
+from brdfpipe.appearance.lights import STRAIGHT_DOWN, Floats, Lights, golden_spiral
 from brdfpipe.appearance.preview_geometry import Points
 from brdfpipe.bsdf.registry import representation
 from brdfpipe.geometry import Array, angles_of, unit_vector
@@ -27,12 +27,15 @@ _NARROWEST, _WIDEST = 7e-4, 0.15
 _NEAR, _FAR = 0.1, 0.25
 """Slopes, along the narrow axis of the lobe, between which the weight moves from facets to directions."""
 
-_FACET_BLUR, _DIRECTION_BLUR = 0.6, 0.75
-"""Standard deviation of the blur over the distance of nodes. With 0.6 the ripple of a square lattice is
+_FACET_BLUR = 0.6
+"""Standard deviation of the blur over the distance of nodes. The ripple of a square lattice is then
 2 exp(−2 π² 0.36) = 0.2 %, and the lobe 2 % wider."""
 
 _MOST_LOOKUPS = 2**17
 """Pairs of point and node that are looked up together."""
+
+_MOST_VALUES = 2**22
+"""Values of a BSDF, directions times wavelengths, that are evaluated together."""
 
 
 class Resolution(NamedTuple):
@@ -83,20 +86,28 @@ class Table:
         widths = _lobe_widths(bsdf, lay, wavelength)
         facets, facet_angle, share = _facets(widths, lay, resolution.facets_per_circle)
         directions = golden_spiral(1 - (np.arange(resolution.directions) + 0.5) / resolution.directions)
-        near = np.empty((theta.size, phi.size, len(facets), channels.shape[1]))
-        far = np.empty((theta.size, phi.size, len(directions), channels.shape[1]))
+        nodes = len(facets) + len(directions)
+        values = phi.size * nodes * (1 if wavelength is None else wavelength.size)
+        both = np.empty((theta.size, phi.size, nodes, channels.shape[1]))
         mirror = np.empty((theta.size, phi.size, channels.shape[1]))
-        for j, polar in enumerate(theta):
-            view = unit_vector(polar, phi)
-            lights = 2 * (view @ facets.T)[..., None] * facets - view[:, None]
-            weight = 4 * np.maximum(view @ facets.T, 0) * facet_angle * share
-            near[j] = in_channels(_reflected(bsdf, lights, weight, (polar, phi), wavelength), channels)
-            twice_half_vectors = directions + view[:, None]
-            weight = (1 - _facet_share(twice_half_vectors, widths, lay)) * 2 * np.pi / len(directions)
-            lights = np.broadcast_to(directions, twice_half_vectors.shape)
-            far[j] = in_channels(_reflected(bsdf, lights, weight, (polar, phi), wavelength), channels)
-            shares = representation(bsdf).specular(np.full(phi.size, polar), phi + 180, wavelength)[0]
-            mirror[j] = in_channels(shares, channels)
+        # Many views at once: a representation evaluates many directions faster, and prepares for each call.
+        for rows in np.array_split(np.arange(theta.size), max(1, min(theta.size, theta.size * values // _MOST_VALUES))):
+            polar, around = (grid.ravel() for grid in np.meshgrid(theta[rows], phi, indexing="ij"))
+            view = unit_vector(polar, around)
+            lights = np.empty((len(view), nodes, 3))
+            weight = np.empty((len(view), nodes))
+            of_facets, others = lights[:, : len(facets)], slice(len(facets), None)
+            of_facets[:] = 2 * (view @ facets.T)[..., None] * facets - view[:, None]
+            weight[:, : len(facets)] = 4 * np.maximum(view @ facets.T, 0) * facet_angle * share
+            lights[:, others] = directions
+            weight[:, others] = (
+                (1 - _facet_share(directions + view[:, None], widths, lay)) * 2 * np.pi / len(directions)
+            )
+            reflected = _reflected(bsdf, lights, weight, (polar, around), wavelength, channels)
+            both[rows] = reflected.reshape(rows.size, phi.size, nodes, -1)
+            shares = representation(bsdf).specular(polar, around + 180, wavelength)[0]
+            mirror[rows] = in_channels(shares, channels).reshape(rows.size, phi.size, -1)
+        near, far = both[:, :, : len(facets)], both[:, :, len(facets) :]
         return cls(theta, phi, lay, facets, facet_angle, near, directions, far, mirror)
 
     def near_light(self, points: Points, lights: Lights) -> Array:
@@ -113,34 +124,28 @@ class Table:
         if weights.shape[2] == 0 or not weights.any():
             return radiance
         frame, theta, phi = self._local_views(points)
+        every = None if near else lights.filtered.in_frames(frame, self.directions)
         for in_cell, corners, shares in self._table_cells(theta, phi):
             table = np.concatenate([weights[corner] for corner in corners], axis=1).astype(np.float32)
             step = max(1, _MOST_LOOKUPS // weights.shape[2])
             for start in range(0, in_cell.size, step):
                 at = in_cell[start : start + step]
-                if near:
+                if every is None:
                     light = self._from_facets(frame[at], points.view[at], points.spread[at], lights)
                 else:
-                    light = self._from_directions(frame[at], lights)
+                    light = every[at]
                 by_corner = (light @ table).reshape(at.size, len(corners), -1)
                 radiance[at] = np.einsum("pc,pck->pk", shares[start : start + step], by_corner)
         return radiance
 
     def _from_facets(self, frame: Array, view: Array, spread: Array, lights: Lights) -> Floats:
-        world = [(frame[:, :, axis] @ self.facets.T).astype(np.float32) for axis in range(3)]
-        towards = [view[:, axis : axis + 1].astype(np.float32) for axis in range(3)]
-        cosine = world[0] * towards[0] + world[1] * towards[1] + world[2] * towards[2]
+        from brdfpipe.appearance.light_kernel import mirrored_light
+
         turned = np.einsum("pa,pca->pc", view, frame).mean(axis=0)
         solid = 4 * np.maximum(self.facets @ (turned / np.linalg.norm(turned)), 0.01) * self.facet_angle
         blur = np.hypot(_FACET_BLUR * np.sqrt(solid), float(spread.mean()))
-        cosine *= 2
-        x, y, z = (cosine * w - v for w, v in zip(world, towards, strict=True))
-        return lights.filtered(x, y, z, blur)
-
-    def _from_directions(self, frame: Array, lights: Lights) -> Floats:
-        blur = np.full(len(self.directions), _DIRECTION_BLUR * np.sqrt(2 * np.pi / len(self.directions)))
-        x, y, z = ((frame[:, :, axis] @ self.directions.T).astype(np.float32) for axis in range(3))
-        return lights.filtered(x, y, z, blur)
+        filtered = lights.filtered
+        return mirrored_light(frame, self.facets, view, filtered.levels(blur), filtered.table, STRAIGHT_DOWN)
 
     def _mirrored_light(self, points: Points, lights: Lights) -> Array:
         radiance = np.zeros((len(points.normal), self.mirror.shape[-1]))
@@ -149,7 +154,7 @@ class Table:
         _, theta, phi = self._local_views(points)
         cosine = (points.normal * points.view).sum(axis=1, keepdims=True)
         directions = 2 * cosine * points.normal - points.view
-        light = _pixel_radiance(lights, directions, points.spread)
+        light = lights.of_pixels(directions, points.spread)
         for in_cell, corners, shares in self._table_cells(theta, phi):
             reflectance = np.stack([self.mirror[corner] for corner in corners])
             radiance[in_cell] = shares @ reflectance * light[in_cell, None]
@@ -195,26 +200,26 @@ def in_channels(values: Array, channels: Array) -> Array:
     return np.asarray(values * channels.sum(axis=0) if values.shape[-1] == 1 else values @ channels)
 
 
-def _pixel_radiance(lights: Lights, directions: Array, spread: Array) -> Array:
-    """Radiance from single directions, each blurred by the spread of its pixel."""
-    light, order = np.empty(len(spread)), np.argsort(spread, kind="stable")
-    for group in np.array_split(order, min(32, len(order))):
-        light[group] = lights.radiance(directions[group], float(spread[group].mean()))
-    return light
-
-
 def _reflected(
-    bsdf: xr.Dataset, lights: Array, weight: Array, view: tuple[float, Array], wavelength: Array | None
+    bsdf: xr.Dataset,
+    lights: Array,
+    weight: Array,
+    view: tuple[Array, Array],
+    wavelength: Array | None,
+    channels: Array,
 ) -> Array:
-    """f cos θ_i times the weight, (azimuths, nodes, wavelength), for light from directions (azimuths, nodes, 3)."""
+    """f cos θ_i times the weight in channels, (views, nodes, channels), for light from directions (views, nodes, 3).
+
+    ``view`` are θ_o and φ_o [degree], (views,) each.
+    """
     used = (lights[..., 2] > 1e-9) & (weight > 0)
+    reflected = np.zeros((*used.shape, channels.shape[1]))
     if not used.any():
-        return np.zeros((*used.shape, 1))
+        return reflected
     theta_i, phi_i = angles_of(lights[used])
-    phi_o = np.broadcast_to(view[1][:, None], used.shape)[used]
-    values = representation(bsdf).evaluate(theta_i, phi_i, np.full(theta_i.size, view[0]), phi_o, wavelength)
-    reflected = np.zeros((*used.shape, values.shape[-1]))
-    reflected[used] = values * (lights[used][:, 2] * weight[used])[:, None]
+    theta_o, phi_o = (np.broadcast_to(angle[:, None], used.shape)[used] for angle in view)
+    values = representation(bsdf).evaluate(theta_i, phi_i, theta_o, phi_o, wavelength)
+    reflected[used] = in_channels(values, channels) * (lights[used][:, 2] * weight[used])[:, None]
     return reflected
 
 

@@ -217,7 +217,14 @@ class EnergyClosure(NamedTuple):
 
     def of_halo(self, cosine: Array, azimuth: Array, wavelength: Array) -> Array:
         """The factor [1], (directions…, wavelength), of cosines and azimuths [degree] (directions…) at wavelengths [nm]."""
-        return self._between(self.factor, cosine, azimuth, wavelength, 1)
+        if self.ellipse is not None:
+            return self._between(self.factor, cosine, azimuth, wavelength, 1)
+        # Linear in both: between wavelengths once, not for every direction.
+        at_wavelengths = np.stack([np.interp(wavelength, self.wavelength, row) for row in self.factor])
+        place = np.minimum(closure_place(cosine, len(self.factor)), len(self.factor) - 1)
+        row = np.minimum(place.astype(int), len(self.factor) - 2)
+        fraction = (place - row)[..., None]
+        return np.asarray(at_wavelengths[row] * (1 - fraction) + at_wavelengths[row + 1] * fraction)
 
     def coherent_share(self, cosine: Array, azimuth: Array, wavelength: Array) -> Array:
         """Share of the mirror reflection that is coherent [1], of the same."""
