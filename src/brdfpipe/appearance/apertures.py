@@ -21,7 +21,7 @@ from brdfpipe import vocabulary
 from brdfpipe.bsdf.base import Representation
 from brdfpipe.bsdf.nonspectral import nonspectral
 from brdfpipe.bsdf.registry import representation
-from brdfpipe.bsdf.source_changes import Reflector
+from brdfpipe.bsdf.source_changes import Reflector, SourceChanges
 from brdfpipe.geometry import Array, angles_of
 from brdfpipe.hemisphere import graded_edges, panel_rule
 from brdfpipe.optics.fresnel_equations import fresnel
@@ -197,19 +197,36 @@ class Receptors(NamedTuple):
 
     def received(self, azimuths: Array, reflector: Reflector | None = None) -> list[Array]:
         """As :func:`received`."""
+        evaluate = (self.given if reflector is None else reflector).evaluate
+        return self._received(azimuths, lambda *at: [evaluate(*at)])[0]
+
+    def received_each(self, azimuths: Array, changes: SourceChanges) -> list[list[Array]]:
+        """The same of a BSDF, and of the same after each change of its inputs."""
+        return self._received(azimuths, changes.evaluate_each)
+
+    def _received(
+        self, azimuths: Array, evaluate: Callable[[Array, Array, Array, Array, Array | None], list[Array]]
+    ) -> list[list[Array]]:
+        """Of several BSDFs that are evaluated together."""
         angles = zip(*(node.directions for node in self.nodes), strict=True)
         theta_i, phi_i, theta_o, phi_o = map(np.concatenate, angles)
-        evaluate = (self.given if reflector is None else reflector).evaluate
-        flux: list[list[Array]] = [[] for _ in self.nodes]
+        flux: list[list[list[Array]]] = []
         # One evaluation for many azimuths: a representation may work hard before it evaluates its first direction.
         blocks = min(azimuths.size, -(-azimuths.size * theta_i.size // _MOST_EVALUATIONS))
         for turn in np.array_split(azimuths, max(blocks, 1)):
             turned = np.broadcast_arrays(theta_i, phi_i + turn[:, None], theta_o, phi_o + 180 + turn[:, None])
-            brdf = evaluate(turned[0], turned[1], turned[2], turned[3], None)[..., 0]
-            parts = np.split(brdf, np.cumsum([node.weight.size for node in self.nodes])[:-1], axis=1)
-            for sums, node, part, number in zip(flux, self.nodes, parts, self.number, strict=True):
-                sums.append(_sums_by_point(node.weight * part, node.source_point, int(number.max()) + 1)[:, number])
-        return [np.concatenate(sums) for sums in flux]
+            values = evaluate(turned[0], turned[1], turned[2], turned[3], None)
+            flux.append([self._by_point(brdf[..., 0]) for brdf in values])
+        # From block, BSDF, beam to BSDF, beam.
+        return [[np.concatenate(sums) for sums in zip(*of_one, strict=True)] for of_one in zip(*flux, strict=True)]
+
+    def _by_point(self, brdf: Array) -> list[Array]:
+        """Sums over the windows of the beams, (azimuths, points of the source) each, of a BRDF (azimuths, nodes)."""
+        parts = np.split(brdf, np.cumsum([node.weight.size for node in self.nodes])[:-1], axis=1)
+        return [
+            _sums_by_point(node.weight * part, node.source_point, int(number.max()) + 1)[:, number]
+            for node, part, number in zip(self.nodes, parts, self.number, strict=True)
+        ]
 
 
 def _on_one_side(beam: Beam, symmetric: bool) -> tuple[Beam, NDArray[np.intp]]:

@@ -13,7 +13,7 @@ from brdfpipe import hemisphere, vocabulary
 from brdfpipe.appearance.tolerances import labelled, standard_uncertainty
 from brdfpipe.bsdf.base import Representation
 from brdfpipe.bsdf.registry import representation
-from brdfpipe.bsdf.source_changes import Reflector
+from brdfpipe.bsdf.source_changes import Reflector, SourceChanges
 from brdfpipe.flakes.geometries import SETS, Directions, named_directions, refuse_mixed_signs
 from brdfpipe.geometry import Array, angles_of, unit_vector
 from brdfpipe.spectra import colorimetry
@@ -97,6 +97,32 @@ def colour(
     sphere = colorimetry.reflectance_to_xyz(wavelength, total, illuminant, observer)
     single = _lab(bsdf, angles(directions), illuminant, observer, azimuth, reflector)
     return _labelled("lab", np.concatenate([colorimetry.xyz_to_lab(sphere, white)[None], single]), directions)
+
+
+def colours_after_changes(
+    bsdf: xr.Dataset,
+    geometries: Geometries,
+    illuminant: str,
+    observer: int,
+    changes: SourceChanges,
+    totals: Sequence[Array],
+) -> Array:
+    """L*a*b* as :func:`colour` of a BSDF and of the same after each change of its inputs, (1 + changes, geometries, components).
+
+    Parameters
+    ----------
+    bsdf, geometries, illuminant, observer : as for :func:`colour`
+    changes : of the BSDF
+    totals : total reflectance of each (:func:`total_reflectance`)
+    """
+    wavelength, white = _wavelengths(bsdf), colorimetry.weights(illuminant, observer).white
+    # A change of a colour is smoother over the azimuth than a colour.
+    turns = np.zeros(1) if representation(bsdf).isotropic else _SOME_AZIMUTHS
+    each = changes.evaluate_each(*_turned_about_normal(angles(_directions(geometries)), turns), None)
+    spheres = [colorimetry.reflectance_to_xyz(wavelength, total, illuminant, observer) for total in totals]
+    single = [_lab_of(bsdf, brdf.mean(axis=1), illuminant, observer, changed=True) for brdf in each]
+    of_totals = colorimetry.xyz_to_lab(np.array(spheres), white)[:, None]
+    return np.concatenate([of_totals, np.array(single)], axis=1)
 
 
 def colour_uncertainty(
@@ -218,7 +244,12 @@ def _lab(
     turns = (_ALL_AZIMUTHS if reflector is None else _SOME_AZIMUTHS) if averaged else np.array([azimuth or 0.0])
     evaluate = (representation(bsdf) if reflector is None else reflector).evaluate
     brdf = evaluate(*_turned_about_normal(at, turns), None).mean(axis=1)
-    unknown = np.zeros(len(brdf), dtype=bool) if reflector is None else ~np.isfinite(brdf).all(axis=-1)
+    return _lab_of(bsdf, brdf, illuminant, observer, changed=reflector is not None)
+
+
+def _lab_of(bsdf: xr.Dataset, brdf: Array, illuminant: str, observer: int, changed: bool) -> Array:
+    """L*a*b* (directions, 3) of BRDFs (directions, wavelength or 1); NaN where a changed BSDF is not known."""
+    unknown = np.asarray(~np.isfinite(brdf).all(axis=-1)) if changed else np.zeros(len(brdf), dtype=bool)
     xyz = xyz_of(bsdf, np.where(unknown[:, None], 0.0, brdf), illuminant, observer)
     lab = colorimetry.xyz_to_lab(xyz, colorimetry.weights(illuminant, observer).white)
     return np.where(unknown[:, None], np.nan, lab)

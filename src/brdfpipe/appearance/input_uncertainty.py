@@ -16,7 +16,7 @@ import xarray as xr
 from brdfpipe import vocabulary
 from brdfpipe.appearance import apertures
 from brdfpipe.appearance.apertures import Rule
-from brdfpipe.appearance.colours import FLOP_GEOMETRIES, TOTAL, colour, flop_index, total_reflectance
+from brdfpipe.appearance.colours import FLOP_GEOMETRIES, TOTAL, colours_after_changes, flop_index, total_reflectance
 from brdfpipe.appearance.gloss_meter import beam_of, gloss_of
 from brdfpipe.appearance.haze import HazeWindow, beams_of, haze_of
 from brdfpipe.appearance.transmission import luminous_transmittance, transmission_haze
@@ -132,14 +132,15 @@ def _meter_parts(
     of_gloss, of_windows = [beam_of(angle, _RULE) for angle in angles], [beams_of(window, _RULE) for window in windows]
     receptors = apertures.Receptors.of(sample, [*of_gloss, *chain.from_iterable(of_windows)])
 
-    def measured(reflector: Reflector) -> Array:
-        light = iter(receptors.received(azimuths, reflector))
+    def measured(reflector: Reflector, received: Sequence[Array]) -> Array:
+        light = iter(received)
         gloss = [gloss_of(sample, beam, next(light), azimuths, reflector).mean() for beam in of_gloss]
         beside = [haze_of(beams, [next(light) for _ in beams]).mean() for beams in of_windows]
         return np.array([*gloss, *beside])
 
-    given = measured(changes.given)
-    all_changes = np.array([measured(reflector) - given for reflector in changes.changed])
+    reflectors = changes.given, *changes.changed
+    given, *changed = map(measured, reflectors, receptors.received_each(azimuths, changes))
+    all_changes = np.array(changed) - given
     parts = {"gloss": changes.by_source(all_changes[:, : len(angles)])} if angles else {}
     if windows:
         parts["reflectance_haze"] = changes.by_source(all_changes[:, len(angles) :])
@@ -147,7 +148,10 @@ def _meter_parts(
         parts["haze"] = changes.by_source(all_changes[:, angles.index(60.0)] - all_changes[:, angles.index(20.0)])
     if MODEL in parts.get("gloss", {}) and "model_gloss_error" in bsdf:
         finer = _finer_roughness(sample.bsdf)
-        of_finer = (np.zeros(given.size) if finer is None else measured(finer) - given)[: len(angles)]
+        of_finer = np.zeros(given.size)
+        if finer is not None:
+            of_finer = measured(finer, receptors.received(azimuths, finer)) - given
+        of_finer = of_finer[: len(angles)]
         parts |= _known_errors(parts, bsdf, angles, of_finer)
     return dict(parts)
 
@@ -195,17 +199,13 @@ def _colour_parts(
     seen_under = str(appearance.attrs["illuminant"]), int(appearance.attrs["observer"])
     names = [str(name) for name in appearance["geometry"].values]
     three = [names.index(name) for name in FLOP_GEOMETRIES if name in names]
-    labs, flops, luminous = [], [], []
-    for reflector in (changes.given, *changes.changed):
-        wavelength, total = total_reflectance(bsdf, reflector)
-        lab = colour(bsdf, geometries, *seen_under, reflector=reflector, total=total).values
-        labs.append(lab)
-        if "flop_index" in appearance:
-            flops.append(flop_index(*lab[three, 0]))
-        weight = colorimetry.luminous_weight(wavelength)
-        luminous.append(float(weight @ total / weight.sum()))
+    spectra = [total_reflectance(bsdf, reflector) for reflector in (changes.given, *changes.changed)]
+    labs = colours_after_changes(bsdf, geometries, *seen_under, changes, [total for _, total in spectra])
+    flops = [flop_index(*lab[three, 0]) for lab in labs] if "flop_index" in appearance else []
+    weight = colorimetry.luminous_weight(spectra[0][0])
+    luminous = [float(weight @ total / weight.sum()) for _, total in spectra]
     return {
         name: changes.by_source(np.asarray(values[1:]) - np.asarray(values[0]))
         for name, values in (("lab", labs), ("flop_index", flops), ("luminous_reflectance", luminous))
-        if values
+        if len(values)
     }

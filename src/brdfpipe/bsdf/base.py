@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import ClassVar, NamedTuple
+from collections.abc import Collection, Sequence
+from typing import ClassVar, NamedTuple, Self
 
 import numpy as np
 import xarray as xr
@@ -68,6 +69,22 @@ class Representation(ABC):
         """What other modules have prepared from it, by their names"""
 
     # --- values
+
+    def with_changed(self, dataset: xr.Dataset, names: Collection[str]) -> Self:
+        """The representation of the same dataset with other values of some variables; what does not follow from these may be shared."""
+        return type(self)(dataset)
+
+    def evaluate_each(
+        self,
+        others: Sequence[Representation],
+        theta_i: Array,
+        phi_i: Array,
+        theta_o: Array,
+        phi_o: Array,
+        wavelength: Array | None,
+    ) -> list[Array]:
+        """:meth:`evaluate` of this BSDF and of others, which are made by :meth:`with_changed`."""
+        return [one.evaluate(theta_i, phi_i, theta_o, phi_o, wavelength) for one in (self, *others)]
 
     @abstractmethod
     def evaluate(self, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array, wavelength: Array | None) -> Array:

@@ -30,6 +30,7 @@ from brdfpipe.geometry import Array
 
 _SUFFIX = "_change"
 _OF_MODEL = "relative_error", "transmitted_loss", "finer_roughness_loss", "model_gloss_error", "reference_gloss_u"
+_DIRECTIONS_AT_ONCE = 2**14
 _HELD = 2.0
 """Degrees beyond the last known incidence up to which its error is that of a model: the light of a gloss meter is so wide."""
 _PEAK_INCIDENCES = np.array([0.0, 15.0, 30.0, 45.0, 60.0, 70.0, 75.0, 80.0, 85.0, 88.0])
@@ -83,29 +84,49 @@ class SourceChanges:
     @cached_property
     def changed(self) -> tuple[Reflector, ...]:
         """The BSDF after each change."""
-        if "relative_error" not in self._bsdf:
-            return self.of_inputs
-        return (*self.of_inputs, _WithModelError(self.given))
+        return self.of_inputs if self._error is None else (*self.of_inputs, self._error)
+
+    @cached_property
+    def _error(self) -> _WithModelError | None:
+        return _WithModelError(self.given) if "relative_error" in self._bsdf else None
 
     @cached_property
     def of_inputs(self) -> tuple[Representation, ...]:
         """The BSDF after each change of its variables."""
-        return tuple(representation(dataset) for dataset in self._datasets)
-
-    @cached_property
-    def _datasets(self) -> list[xr.Dataset]:
-        """Kept, because a representation is cached as long as its dataset lives."""
         bsdf, names, plain = self._bsdf, changing(self._bsdf), without_changes(self._bsdf)
-        rows = range(bsdf.sizes.get(DIMENSION, 0))
-        return [
-            _with_variables(plain, {name: after for name in names if (after := _after(bsdf, name, row)) is not None})
-            for row in rows
-        ]
+        made = []
+        for row in range(bsdf.sizes.get(DIMENSION, 0)):
+            variables = {name: after for name in names if (after := _after(bsdf, name, row)) is not None}
+            made.append(self.given.with_changed(_with_variables(plain, variables), variables.keys()))
+        return tuple(made)
+
+    def evaluate_each(
+        self, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array, wavelength: Array | None
+    ) -> list[Array]:
+        """The BSDF [sr-1], and the same after each change, (directions…, wavelength) each."""
+        at, error = (theta_i, phi_i, theta_o, phi_o, wavelength), self._error
+        if error is None:
+            return self.given.evaluate_each(self.of_inputs, *at)
+        *values, bare = self.given.evaluate_each([*self.of_inputs, error.bare], *at)
+        return [*values, error.changed(values[0], bare, theta_i, theta_o)]
+
+    def variance(self, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array, wavelength: Array | None) -> Array:
+        """Variance of the BSDF [sr-2], (directions…, wavelength), of directions of one shape; a change that is not known counts as none."""
+        angles = [np.asarray(angle, dtype=float) for angle in np.broadcast_arrays(theta_i, phi_i, theta_o, phi_o)]
+        flat = [angle.reshape(-1) for angle in angles]
+        parts = []
+        # All directions together may not fit into the memory.
+        for start in range(0, max(flat[0].size, 1), _DIRECTIONS_AT_ONCE):
+            block = [angle[start : start + _DIRECTIONS_AT_ONCE] for angle in flat]
+            given, *changed = self.evaluate_each(block[0], block[1], block[2], block[3], wavelength)
+            parts.append(sum((np.square(np.nan_to_num(one - given)) for one in changed), np.zeros_like(given)))
+        values = np.concatenate(parts)
+        return np.asarray(values.reshape(*angles[0].shape, values.shape[-1]))
 
     def of_brdf(self, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array, wavelength: Array | None) -> Array:
         """Changes of the BSDF [sr-1], (changes, directions…, wavelength)."""
-        at = theta_i, phi_i, theta_o, phi_o, wavelength
-        return self._differences(self.given.evaluate(*at), [one.evaluate(*at) for one in self.changed])
+        given, *changed = self.evaluate_each(theta_i, phi_i, theta_o, phi_o, wavelength)
+        return self._differences(given, changed)
 
     def of_albedo(self, theta_i: Array, phi_i: Array, wavelength: Array | None) -> Array:
         """Changes of the directional reflectance [1], (changes, incidences…, wavelength)."""
@@ -214,7 +235,11 @@ class _WithModelError:
         bsdf, self._given = given.dataset, given
         bare = self._given.without_diffuse()
         self._bare_dataset = bsdf if bare is None else bare
-        self._bare = representation(self._bare_dataset)
+        of_same = bare is not None and bare.attrs.get("representation") == given.name
+        self.bare: Representation = (
+            given.with_changed(self._bare_dataset, ["diffuse"]) if of_same else representation(self._bare_dataset)
+        )
+        """Its light from the surface alone"""
         self._error, self._loss = bsdf["relative_error"], bsdf.get("transmitted_loss")
         self._known_peaks: dict[tuple[bool, bool], Array] = {}
 
@@ -225,8 +250,8 @@ class _WithModelError:
             lit, seen = (
                 180 - each if below else each for each, below in ((incidence, behind), (view, behind != through))
             )
-            along = self._bare.lay or 0.0
-            bsdf = self._bare.evaluate(lit, np.full_like(view, along), seen, np.full_like(view, along + 180), None)
+            along = self.bare.lay or 0.0
+            bsdf = self.bare.evaluate(lit, np.full_like(view, along), seen, np.full_like(view, along + 180), None)
             self._known_peaks[behind, through] = np.log(np.maximum(bsdf.mean(axis=-1).max(axis=1), 1e-300))
         return self._known_peaks[behind, through]
 
@@ -245,8 +270,12 @@ class _WithModelError:
         return by_region[0] + inner * (by_region[1] - by_region[0]) + outer * (by_region[2] - by_region[1])
 
     def evaluate(self, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array, wavelength: Array | None) -> Array:
-        bare = self._bare.evaluate(theta_i, phi_i, theta_o, phi_o, wavelength)
+        bare = self.bare.evaluate(theta_i, phi_i, theta_o, phi_o, wavelength)
         given = self._given.evaluate(theta_i, phi_i, theta_o, phi_o, wavelength)
+        return self.changed(given, bare, theta_i, theta_o)
+
+    def changed(self, given: Array, bare: Array, theta_i: Array, theta_o: Array) -> Array:
+        """:meth:`evaluate` of the known values of the BSDF and of :attr:`bare`."""
         incidence = np.broadcast_to(theta_i, given.shape[:-1])
         log_light = np.log(np.maximum(bare.mean(axis=-1), 1e-300))
 

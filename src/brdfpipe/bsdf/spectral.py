@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 from functools import lru_cache
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 import xarray as xr
@@ -12,6 +12,9 @@ import xarray as xr
 from brdfpipe.geometry import Array
 
 State = TypeVar("State")
+
+OnlyOnce = Callable[[tuple[Hashable, ...], Callable[[], Any]], Any]
+"""What a function gives, under a name with the identities of all that it depends on beside the directions."""
 
 _WAVELENGTH_SETS = 4
 """Sets of wavelengths whose state is cached."""
@@ -54,3 +57,20 @@ def per_wavelength(prepare: Callable[[Array | None], State]) -> Callable[[Array 
         return prepare(None if wavelengths is None else np.frombuffer(wavelengths))
 
     return lambda wavelength: prepared(None if wavelength is None else np.asarray(wavelength, dtype=float).tobytes())
+
+
+def each_time(name: tuple[Hashable, ...], compute: Callable[[], Any]) -> Any:
+    """Compute at every call: for a BSDF by itself."""
+    return compute()
+
+
+def only_once() -> OnlyOnce:
+    """Compute at the first call of a name: for several BSDFs in the same directions, which share parts."""
+    found: dict[tuple[Hashable, ...], Any] = {}
+
+    def once(name: tuple[Hashable, ...], compute: Callable[[], Any]) -> Any:
+        if name not in found:
+            found[name] = compute()
+        return found[name]
+
+    return once

@@ -132,11 +132,15 @@ def _with_uncertainty(table: xr.Dataset, bsdf: xr.Dataset) -> xr.Dataset:
     if uncertain(bsdf):
         changes = SourceChanges.of(bsdf)
         symmetric = changes.given.mirror_symmetric
-        given = table["brdf"].values if "wavelength" in dims else table["brdf"].values[..., None]
-        variance = np.zeros_like(given)
-        # One change at a time: all together may not fit into the memory.
-        for changed in changes.changed:
-            variance += np.square(np.nan_to_num(_on_nodes(changed.evaluate, layout, axes, averaged, symmetric) - given))
+        if averaged:
+            given = table["brdf"].values if "wavelength" in dims else table["brdf"].values[..., None]
+            variance = np.zeros_like(given)
+            # One change at a time: all together may not fit into the memory.
+            for changed in changes.changed:
+                values = _on_nodes(changed.evaluate, layout, axes, averaged, symmetric)
+                variance += np.square(np.nan_to_num(values - given))
+        else:
+            variance = _on_nodes(changes.variance, layout, axes, averaged, symmetric)
         u = np.sqrt(variance)
     elif representation(bsdf).states_uncertainty:
         model = representation(bsdf)

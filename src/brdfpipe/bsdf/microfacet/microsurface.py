@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TypeAlias
 
@@ -50,6 +50,10 @@ class Microsurface:
             single = SingleVisibility.of(dataset) if "single_ratio" in dataset else None
             return cls(RadialDensity.of(dataset), Smith.of(dataset), ratio, single)
         return cls(PlanarDensity.of(dataset), PlanarSmith.of(dataset))
+
+    def with_density(self, dataset: xr.Dataset) -> Microsurface:
+        """The surface with the slope density and Smith's masking of another dataset; isotropic."""
+        return replace(self, density=RadialDensity.of(dataset), smith=Smith.of(dataset))
 
     @property
     def isotropic(self) -> bool:

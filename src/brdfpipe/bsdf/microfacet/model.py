@@ -16,7 +16,7 @@ from brdfpipe.bsdf.microfacet import energy, polarised, transmission
 from brdfpipe.bsdf.microfacet.energy import AlbedoTable, directional_albedo
 from brdfpipe.bsdf.microfacet.microsurface import Microsurface
 from brdfpipe.bsdf.microfacet.second_reflection import SecondReflection, second_reflection, with_second_reflection
-from brdfpipe.bsdf.spectral import spectral_values
+from brdfpipe.bsdf.spectral import OnlyOnce, each_time, spectral_values
 from brdfpipe.facets.facet_dataset import radial_average
 from brdfpipe.facets.planar_density import Ellipse
 from brdfpipe.facets.radial_density import RadialDensity
@@ -187,18 +187,30 @@ class Model:
         return self.reflected_by(pair, visible, theta_i, phi_i, theta_o, phi_o)
 
     def reflected_by(
-        self, pair: HalfVector, visible: Array, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array
+        self,
+        pair: HalfVector,
+        visible: Array,
+        theta_i: Array,
+        phi_i: Array,
+        theta_o: Array,
+        phi_o: Array,
+        once: OnlyOnce = each_time,
     ) -> Array:
         """The same of known half vectors, whose facets have a known :meth:`Microsurface.visibility`."""
         assert self.surface is not None
         mirrors = self.surface.mirrors(pair, visible, phi_i, phi_o)
-        once = mirrors[..., None] * self._reflectance(pair.cos_zeta[..., None])
-        return self._with_further_light(once, theta_i, phi_i, theta_o, phi_o)
+        reflectance = once(
+            ("facets' reflectance", id(self.n), id(self.k)), lambda: self._reflectance(pair.cos_zeta[..., None])
+        )
+        return self._with_further_light(mirrors[..., None] * reflectance, theta_i, phi_i, theta_o, phi_o, once)
 
-    def _with_further_light(self, brdf: Array, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array) -> Array:
+    def _with_further_light(
+        self, brdf: Array, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array, once: OnlyOnce = each_time
+    ) -> Array:
         """A BRDF with the light that facets reflect more than once, and that of the base."""
         if self.second is not None:
-            further = self.second(theta_i, phi_i, theta_o, phi_o)
+            second = self.second
+            further = once(("further light", id(second)), lambda: second(theta_i, phi_i, theta_o, phi_o))
             brdf = brdf + (further if np.ndim(theta_i) else further[0])
         if self.furnace is not None:
             lost = (1 - self.furnace(theta_i, phi_i)) * (1 - self.furnace(theta_o, phi_o))

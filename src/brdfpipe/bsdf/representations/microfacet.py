@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import replace
 from functools import cache
+from typing import Self
 
 import numpy as np
 import xarray as xr
@@ -12,11 +14,14 @@ from brdfpipe import vocabulary
 from brdfpipe.bsdf.base import UNRESOLVED_SLOPE, Representation
 from brdfpipe.bsdf.microfacet.microsurface import NOT_PHYSICAL, Microsurface
 from brdfpipe.bsdf.microfacet.model import Model, mean_index, with_mean_index
-from brdfpipe.bsdf.spectral import per_wavelength
+from brdfpipe.bsdf.spectral import OnlyOnce, each_time, per_wavelength
 from brdfpipe.geometry import Array, HalfVector
 
 _SEVERAL = ("furnace_albedo", "second_reflection")
 """Variables of light that is reflected more than once."""
+
+OF_FACETS = frozenset({"slope_density", "lambda_smith"})
+"""Variables of the facets' density and masking alone."""
 
 _LAY_ALBEDO_ACCURACY = 2e-4
 """Tables of the albedo over two angles agree with the integral to about 1e-4."""
@@ -35,6 +40,22 @@ class Interface(Representation):
         self._surface = surface
         self._model = per_wavelength(lambda wavelength: Model.of(dataset, wavelength, surface()))
 
+    def with_changed(self, dataset: xr.Dataset, names: Collection[str]) -> Self:
+        """See the base class; tables of albedos and of further reflections do not follow from the facets' density and masking."""
+        made = type(self)(dataset)
+        if not (set(names) <= OF_FACETS and self.isotropic):
+            return made
+        given_surface, given_model = self._surface, self._model
+
+        def changed_surface() -> Microsurface | None:
+            given = given_surface()
+            return None if given is None else given.with_density(dataset)
+
+        surface = cache(changed_surface)
+        made._surface = surface
+        made._model = per_wavelength(lambda wavelength: replace(given_model(wavelength), surface=surface()))
+        return made
+
     @property
     def surface(self) -> Microsurface | None:
         """The facets; None of a perfectly smooth interface."""
@@ -52,9 +73,10 @@ class Interface(Representation):
         theta_o: Array,
         phi_o: Array,
         wavelength: Array | None,
+        once: OnlyOnce = each_time,
     ) -> Array:
         """As :meth:`evaluate`, above the surface, of known half vectors and visibilities of facets."""
-        return self._model(wavelength).reflected_by(pair, visible, theta_i, phi_i, theta_o, phi_o)
+        return self._model(wavelength).reflected_by(pair, visible, theta_i, phi_i, theta_o, phi_o, once)
 
     def mueller(self, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array, wavelength: Array | None) -> Array:
         """Frames as in :mod:`brdfpipe.bsdf.microfacet.polarised`; NaN for light through the interface or from within it."""

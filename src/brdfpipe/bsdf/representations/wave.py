@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection, Sequence
 from functools import cached_property
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import numpy as np
 import xarray as xr
@@ -48,6 +49,14 @@ class _Spectral(NamedTuple):
     def mixed(self, values: Array) -> Array:
         """Values (…, wavelength); averaged to (…, 1) for a mixture."""
         return values if self.mixture is None else np.asarray(values @ self.mixture[:, None])
+
+
+CHANGES_OF_SURFACE = frozenset({"slope_density", "lambda_smith", "sigma", "log_halo", "halo_closure", "coherent_loss"})
+"""Variables of the light that the surface scatters, which do not enter the base and the balance of energy."""
+
+
+def _same(one: xr.Variable, other: xr.Variable) -> bool:
+    return one.data is other.data or bool(np.array_equal(one.values, other.values))
 
 
 def _mixed(dims: tuple[str, ...]) -> tuple[str, ...]:
@@ -117,6 +126,53 @@ class Wave(Representation):
         used = bsdf["wavelength"].values if wavelength is None else np.asarray(wavelength, dtype=float)
         n, k = (spectral_values(bsdf, name, wavelength) for name in ("n", "k"))
         return _Spectral(used, n, k, *fields, None)
+
+    def with_changed(self, dataset: xr.Dataset, names: Collection[str]) -> Self:
+        """See the base class."""
+        made = type(self)(dataset)
+        if set(names) <= CHANGES_OF_SURFACE:
+            made._spectral, made._reflectance = self._spectral, self._reflectance
+            made.__dict__["_surface"] = self._surface.with_changed(dataset, names)
+        elif set(names) <= {"diffuse"}:
+            made.__dict__["_surface"] = self._surface
+        return made
+
+    def evaluate_each(
+        self,
+        others: Sequence[Representation],
+        theta_i: Array,
+        phi_i: Array,
+        theta_o: Array,
+        phi_o: Array,
+        wavelength: Array | None,
+    ) -> list[Array]:
+        """See the base class; surfaces of one body and bases of one surface share what is the same."""
+        at, shape, angles = self._prepared(theta_i, phi_i, theta_o, phi_o, wavelength)
+        family = [self, *(one for one in others if isinstance(one, Wave) and self._has_body_of(one))]
+        surfaces = list({id(one._surface): one._surface for one in family}.values())
+        of_surfaces = dict(
+            zip(map(id, surfaces), RoughSurface.evaluate_each(surfaces, angles, at.wavelength, at.n, at.k), strict=True)
+        )
+        bases: dict[int, Array] = {}
+        values = []
+        for one in (self, *others):
+            if not (isinstance(one, Wave) and one in family):
+                values.append(one.evaluate(theta_i, phi_i, theta_o, phi_o, wavelength))
+                continue
+            fields = one._spectral(wavelength)
+            if id(fields) not in bases:
+                bases[id(fields)] = self._base(fields, angles)
+            brdf = at.mixed(of_surfaces[id(one._surface)]) + bases[id(fields)]
+            values.append(brdf.reshape(*shape, brdf.shape[-1]))
+        return values
+
+    def _has_body_of(self, other: Wave) -> bool:
+        """Whether another BSDF, made by :meth:`with_changed`, has the same index and mixture of wavelengths."""
+        names = ("n", "k", "mixture", "mixed_wavelength")
+        own, others = self.dataset.variables, other.dataset.variables
+        return all(
+            (name in own) == (name in others) and (name not in own or _same(own[name], others[name])) for name in names
+        )
 
     def evaluate(self, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array, wavelength: Array | None) -> Array:
         one = as_numbers(theta_i, phi_i, theta_o, phi_o)

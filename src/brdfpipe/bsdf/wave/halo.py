@@ -29,6 +29,7 @@ import xarray as xr
 from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates, spline_filter, spline_filter1d
 
+from brdfpipe.bsdf.spectral import OnlyOnce, each_time
 from brdfpipe.content_cache import cached_by_content
 from brdfpipe.geometry import Array, HalfVector, slope_towards
 
@@ -221,16 +222,19 @@ class Halo:
         geometry = (4 * np.pi * self.sigma / nm) ** 2 * (pair.cos_i * pair.cos_o)[..., None]
         return geometry * ratio, self.phase_variance(cosines, wavelength) * ratio
 
-    def by_order(self, pair: HalfVector, azimuths: Azimuths, wavelength: Array, tilted: Array) -> tuple[Array, Array]:
+    def by_order(
+        self, pair: HalfVector, azimuths: Azimuths, wavelength: Array, tilted: Array, once: OnlyOnce = each_time
+    ) -> tuple[Array, Array]:
         """BRDF over the polarisation factor of waves, and over Fresnel's reflectance of the tilted facet [sr-1], (directions, wavelength) each.
 
         Both ways to reflect add as amplitudes do.
         ``tilted`` is what reflects as tilted facets over what ``ghs`` gives, (directions,).
         """
         if self.first_order is None:
-            (ratio,) = self._looked_up(("transform",), pair, azimuths, wavelength)
+            (ratio,) = once(("halo", id(self)), lambda: self._looked_up(("transform",), pair, azimuths, wavelength))
             return self._strength(ratio, pair, wavelength), np.zeros_like(ratio)
-        ratio, first = self._looked_up(("transform", "first order"), pair, azimuths, wavelength)
+        tables = ("transform", "first order")
+        ratio, first = once(("halo", id(self)), lambda: self._looked_up(tables, pair, azimuths, wavelength))
         first = np.minimum(first, 1.0)
         cosines = pair.cos_i + pair.cos_o
         # Amplitudes, over that of `ghs`, of both ways to reflect.
@@ -282,6 +286,11 @@ class Halo:
             np.exp(map_coordinates(values, at, order=3, mode="mirror", prefilter=False))
             for values in (self._first_order if table == "first order" else self.spline for table in tables)
         ]
+
+    @cached_property
+    def by_compiled_code(self) -> Halo:
+        """The same halo, whose table is read by compiled code."""
+        return self if self.compiled else replace(self, compiled=True)
 
     @property
     def _first_order(self) -> Array:

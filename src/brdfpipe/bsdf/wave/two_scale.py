@@ -20,10 +20,10 @@ Elfouhaily & Guérin 2004, Waves Random Media 14, R1 (first order that passes to
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -36,7 +36,8 @@ from brdfpipe.bsdf.microfacet import polarised
 from brdfpipe.bsdf.microfacet.anisotropic_quadrature import azimuth_to_arc
 from brdfpipe.bsdf.microfacet.microsurface import Microsurface
 from brdfpipe.bsdf.microfacet.model import MANY_VALUES
-from brdfpipe.bsdf.representations.microfacet import Microfacet
+from brdfpipe.bsdf.representations.microfacet import OF_FACETS, Microfacet
+from brdfpipe.bsdf.spectral import OnlyOnce, each_time, only_once
 from brdfpipe.bsdf.wave.halo import Azimuths, Halo, amplitudes, polarisation_factor
 from brdfpipe.facets.planar_density import Ellipse
 from brdfpipe.facets.radial_density import RadialDensity
@@ -60,6 +61,9 @@ SLOPES, STEEP_PHASES = (0.2, 0.4), (1.0, 10.0)
 
 FACETS_ALONE = 0.99
 """Share of the light reflected as by facets from which a surface counts as one of facets alone."""
+
+_OF_HALO, _OF_CLOSURE = frozenset({"sigma", "log_halo"}), frozenset({"halo_closure", "coherent_loss"})
+"""Variables of the halo alone, and of its closure."""
 
 _BLOCK = 2**15
 """Values that are computed together, so that their arrays stay in the processor's cache."""
@@ -328,6 +332,22 @@ class RoughSurface:
 
         return _in_blocks(angles, (wavelength.size,), of_block, many)
 
+    @staticmethod
+    def evaluate_each(
+        surfaces: Sequence[RoughSurface], angles: Angles, wavelength: Array, n: Array, k: Array
+    ) -> list[Array]:
+        """:meth:`evaluate` of several surfaces of one body, which compute once what they share."""
+        many = len(surfaces) * angles[0].size * wavelength.size >= MANY_VALUES
+        used = [surface._with_compiled_halos if many else surface for surface in surfaces]
+        reflectance = reflectance_of(n, k)
+
+        def of_block(pair: HalfVector, block: Angles, at: NDArray[np.int64]) -> Array:
+            shared: dict[str, Any] = {"pair": pair, "compiled": many, "reflectance": reflectance, "once": only_once()}
+            return np.stack([surface.of_pairs(block, wavelength, n, k, **shared) for surface in used], axis=-1)
+
+        values = _in_blocks(angles, (wavelength.size, len(used)), of_block, many, block=_BLOCK * len(used))
+        return list(np.moveaxis(values, -1, 0))
+
     def of_pairs(
         self,
         angles: Angles,
@@ -339,6 +359,7 @@ class RoughSurface:
         facets: Callable[[], Array] | None = None,
         compiled: bool = False,
         reflectance: Callable[[Array], Array] | None = None,
+        once: OnlyOnce = each_time,
     ) -> Array:
         """The same of directions above the surface, together, (directions…, wavelength).
 
@@ -349,23 +370,26 @@ class RoughSurface:
         facets : gives the BRDF of the facets, if it is known
         compiled : whether the polarisation factor is computed by compiled code
         reflectance : Fresnel's reflectance of n and k as a function of cosines, (…, 1), if it is known
+        once : for several surfaces of one body in the same directions
         """
         pair, azimuths = half_vector(*angles) if pair is None else pair, (angles[1], angles[3])
         relief, visible = self.relief, np.empty(0)
         if relief is not None:
-            visible = relief.surface.visibility(pair, *azimuths, relief.masking)
-        parts = self._parts(pair, azimuths, wavelength, visible)
+            surface, masking = relief.surface, relief.masking
+            visible = once(("visible", id(surface)), lambda: surface.visibility(pair, *azimuths, masking))
+        parts = self._parts(pair, azimuths, wavelength, visible, once)
         values = np.zeros((*np.shape(angles[0]), wavelength.size))
         if parts.facets is not None:
             assert relief is not None
             values += parts.facets * (
-                relief.facets.reflected_by(pair, visible, *angles, wavelength) if facets is None else facets()
+                relief.facets.reflected_by(pair, visible, *angles, wavelength, once) if facets is None else facets()
             )
         if parts.spread is not None:
             of_facet = reflectance or reflectance_of(n, k)
-            values += parts.spread * of_facet(pair.cos_zeta[..., None])
+            values += parts.spread * once(("reflectance",), lambda: of_facet(pair.cos_zeta[..., None]))
         if parts.waves is not None:
-            values += parts.waves * polarisation_factor(pair, angles[3] - angles[1], n, k, compiled)
+            turned = angles[3] - angles[1]
+            values += parts.waves * once(("polarisation",), lambda: polarisation_factor(pair, turned, n, k, compiled))
         return values
 
     def halo_of_mirrors(self, angles: Angles, wavelength: Array) -> Array:
@@ -415,30 +439,56 @@ class RoughSurface:
         """The same surface, with halos that are looked up by compiled code."""
         relief, halo = self.relief, self.halo
         if relief is not None and relief.fine is not None:
-            relief = replace(relief, fine=replace(relief.fine, compiled=True))
-        return replace(self, halo=None if halo is None else replace(halo, compiled=True), relief=relief)
+            relief = replace(relief, fine=relief.fine.by_compiled_code)
+        return replace(self, halo=None if halo is None else halo.by_compiled_code, relief=relief)
 
-    def _parts(self, pair: HalfVector, azimuths: Azimuths, wavelength: Array, visible: Array) -> _Parts:
+    def with_changed(self, bsdf: xr.Dataset, names: Collection[str]) -> RoughSurface:
+        """The surface of a ``bsdf`` dataset that differs from that of this one in some variables; what does not follow from these is shared."""
+        if not set(names) <= OF_FACETS | _OF_HALO | _OF_CLOSURE or self.relief is None or self.halo is None:
+            return RoughSurface.of(bsdf)
+        halo, relief, closure = self.halo, self.relief, self.closure
+        if _OF_HALO & set(names):
+            halo = Halo.of(bsdf, by_order=bsdf.attrs["form"] != "rayleigh-rice")
+        if OF_FACETS & set(names):
+            relief = replace(relief, facets=relief.facets.with_changed(facet_bsdf(bsdf), names))
+        if closure is not None and _OF_CLOSURE & set(names):
+            closure = EnergyClosure.of(bsdf)
+        return replace(self, halo=halo, relief=relief, closure=closure)
+
+    def _parts(
+        self, pair: HalfVector, azimuths: Azimuths, wavelength: Array, visible: Array, once: OnlyOnce = each_time
+    ) -> _Parts:
         """Of pairs of directions; ``visible`` is the visibility of their facets, if there are any."""
         cosines, relief = pair.cos_i + pair.cos_o, self.relief
         if relief is None:
             assert self.halo is not None
             return _Parts(None, None, self.halo.strength(pair, azimuths, wavelength))
-        share, tilted = self.facet_share(cosines, wavelength), tilted_share(pair, visible)
+        passage = self.halo is None, self.facet_sigma, self.slope, self.passage
+        share = once(("share", *passage), lambda: self.facet_share(cosines, wavelength))
+        tilted = once(("tilted", id(visible)), lambda: tilted_share(pair, visible))
         facets, spread, waves = None, np.zeros(share.shape), np.zeros(share.shape)
         if self.halo is not None and not (share == 1).all():
-            once, more = self.halo.by_order(pair, azimuths, wavelength, tilted)
+            low, high = self.halo.by_order(pair, azimuths, wavelength, tilted, once)
             of_waves = 1 - share
             if self.closure is not None:
-                of_i, of_o = self.closure.of_halo(np.array([pair.cos_i, pair.cos_o]), np.array(azimuths), wavelength)
+                closure, both = self.closure, np.array([pair.cos_i, pair.cos_o])
+                of_i, of_o = once(
+                    ("closure", id(closure)), lambda: closure.of_halo(both, np.array(azimuths), wavelength)
+                )
                 of_waves = of_waves * of_i * of_o
-            waves, spread = of_waves * once, of_waves * more
+            waves, spread = of_waves * low, of_waves * high
         if share.any():
             undimmed = relief.undimmed(cosines, wavelength)
             facets = share * undimmed
             if relief.fine is not None:
-                once, transform = relief.fine.strength_and_transform(pair, azimuths, wavelength)
-                waves, spread = waves + facets * once, spread + share * (1 - undimmed) * tilted[..., None] * transform
+                fine = relief.fine
+                of_fine, transform = once(
+                    ("fine", id(fine)), lambda: fine.strength_and_transform(pair, azimuths, wavelength)
+                )
+                waves, spread = (
+                    waves + facets * of_fine,
+                    spread + share * (1 - undimmed) * tilted[..., None] * transform,
+                )
         return _Parts(facets, spread, waves)
 
 
@@ -458,6 +508,7 @@ def _in_blocks(
     shape: tuple[int, ...],
     of_block: Callable[[HalfVector, Angles, NDArray[np.int64]], Array],
     compiled: bool = False,
+    block: int = _BLOCK,
 ) -> Array:
     """Values of pairs of directions above the surface, in blocks that fit the processor's cache; 0 for others.
 
@@ -467,7 +518,7 @@ def _in_blocks(
     theta_i, phi_i, theta_o, phi_o = angles
     result = np.zeros((theta_i.size, *shape))
     above = np.flatnonzero((theta_i < 90) & (theta_o < 90))
-    step = max(_BLOCK // int(np.prod(shape)), 64)
+    step = max(block // int(np.prod(shape)), 64)
     pairs: Callable[..., HalfVector] = half_vector
     if compiled:
         from brdfpipe.bsdf.microfacet import evaluation_kernel
@@ -475,6 +526,6 @@ def _in_blocks(
         pairs = evaluation_kernel.half_vectors
     for start in range(0, above.size, step):
         at = above[start : start + step]
-        block = theta_i[at], phi_i[at], theta_o[at], phi_o[at]
-        result[at] = of_block(pairs(*block), block, at)
+        angles_at = theta_i[at], phi_i[at], theta_o[at], phi_o[at]
+        result[at] = of_block(pairs(*angles_at), angles_at, at)
     return result
