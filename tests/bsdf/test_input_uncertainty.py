@@ -212,7 +212,9 @@ def test_the_noise_of_a_spectrum_changes_all_frequencies_together():
     bsdf = wave.build(psd, index=1.5, wavelength=550.0)
     changes = SourceChanges(beside(bsdf, psd=psd))
     assert set(changes.sources) == {"psd", "noise"}
-    (after,) = (one for one, source in zip(changes._datasets, changes.sources, strict=True) if source == "noise")
+    (after,) = (
+        one.dataset for one, source in zip(changes.of_inputs, changes.sources, strict=True) if source == "noise"
+    )
     area = np.pi * (float(psd["band_high"]) ** 2 - float(psd["band_low"]) ** 2)
     # S falls by 2 σ u ΔA in all of the band, and what goes on beyond it with its last ring.
     expected = -2 * 0.004 * 0.0008 * 0.25 * area / (2 * float(bsdf["sigma"]))
@@ -303,3 +305,29 @@ def test_roughness_that_may_hide_in_a_plateau_counts_as_an_uncertainty_of_the_lo
     both = uncertainty(bsdf, psd=analytic, relative_error=error)["relative_error"].sel(error_theta=20.0)
     np.testing.assert_allclose(both, [np.hypot(0.5, loss), np.hypot(0.5, loss), 0.5])
     np.testing.assert_array_equal(changes["finer_roughness_loss"], changes["relative_error"])
+
+
+def test_changes_that_are_evaluated_together_are_those_of_bsdfs_made_anew(polished):
+    psd, counted, _ = polished
+    given = spectrum(0.3)
+    with coarse_albedo_tables():
+        options = {"index": 1.5, "spectrum": given}
+        predicted = microfacet.build(counted, **options, multiple_scattering="none")
+        options |= {"facets": counted, "predicted": predicted, "optics": "auto"}
+        bsdf = wave.build(psd, **options)
+    random = np.random.default_rng(4)
+    at = (*np.degrees(np.arccos(random.random((2, 40)))), *random.uniform(0, 360, (2, 40)))
+    at = at[0], at[2], at[1], at[3], None
+    changes = beside(
+        bsdf, psd=psd, facets=counted, spectrum=with_u(0.3, 0.01), relative_error=model_error(0.05, 0.1, 0.2)
+    )
+    for dataset in (changes, nonspectral(changes)):
+        each = SourceChanges.of(dataset)
+        assert {"facets", "psd", "spectrum", "model"} <= set(each.sources)
+        made_anew = [representation(one.dataset.copy()).evaluate(*at) for one in (each.given, *each.of_inputs)]
+        for found, expected in zip(each.evaluate_each(*at)[:-1], made_anew, strict=True):
+            np.testing.assert_allclose(found, expected, rtol=1e-10)
+        np.testing.assert_allclose(each.evaluate_each(*at)[-1], each.changed[-1].evaluate(*at), rtol=1e-10)
+        differences = each.of_brdf(*at)
+        np.testing.assert_allclose(each.variance(*at), np.square(differences).sum(axis=0), rtol=1e-9)
+    assert SourceChanges.of(changes) is SourceChanges.of(changes)
