@@ -14,6 +14,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import samples
+from killed_build import contents
 from random_surfaces import heights
 
 from brdfpipe import installation, store
@@ -65,15 +66,6 @@ def lock(results: Path) -> Lock:
     return dict(json.loads((results / "catalogue.lock.json").read_text()))
 
 
-def files(results: Path) -> dict[str, bytes]:
-    return {
-        str(path.relative_to(results)): path.read_bytes()
-        for path in sorted(results.rglob("*"))
-        if path.is_file()
-        and path.relative_to(results).parts[0] not in ("logs", ".snakemake", ".build.lock", ".index.jsonl")
-    }
-
-
 def test_every_dataset_has_its_material_stage_and_digest(built: tuple[Path, Path]) -> None:
     _, results = built
     paths = [path for name in EXAMPLES for path in sorted((results / name).glob("*.nc"))]
@@ -119,7 +111,7 @@ def test_every_uncertainty_is_stated_or_what_is_missing_is_named(built: tuple[Pa
 
 def test_no_result_contains_the_folder_where_it_was_made(built: tuple[Path, Path]) -> None:
     folder, results = built
-    assert not [name for name, content in files(results).items() if str(folder.parent).encode() in content]
+    assert not [name for name, content in contents(results).items() if str(folder.parent).encode() in content]
 
 
 @pytest.mark.parametrize("names", [("pp-moulding",), pytest.param(EXAMPLES, marks=pytest.mark.slow)])
@@ -130,7 +122,7 @@ def test_a_build_elsewhere_gives_the_same_bytes(
     for name in names:
         shutil.copytree(folder / name, tmp_path / "elsewhere" / name)
     build_catalogue(tmp_path / "elsewhere", tmp_path / "made", cores=1)
-    before, after = files(results), files(tmp_path / "made")
+    before, after = contents(results), contents(tmp_path / "made")
     if names != EXAMPLES:  # the catalogue is of other materials
         before, after = ({file: made[file] for file in made if file.split("/")[0] in names} for made in (before, after))
     assert len(after) > 15
@@ -174,7 +166,7 @@ def test_a_scene_computes_its_part_beside_the_default_one(built: tuple[Path, Pat
     page = (place / "index.html").read_text()
     assert '<a href="../../index.html">catalogue</a>' in page
     assert "report.html" not in page
-    before, after = files(undamaged), files(results)
+    before, after = contents(undamaged), contents(results)
     assert {name: after[name] for name in before} == before
 
 
@@ -187,7 +179,7 @@ def test_damaged_results_are_computed_again_to_the_same_bytes(built: tuple[Path,
     assert summary.notices == (
         "2 results changed since the build wrote them, and made anew: paint-lab/bsdf.nc, paint-lab/summary.nc",
     )
-    assert files(results) == files(undamaged)
+    assert contents(results) == contents(undamaged)
     assert set(summary.verdicts) == set(EXAMPLES)  # of those that were not built, too
 
 
@@ -254,7 +246,7 @@ def test_every_deleted_file_is_made_again_as_it_was(
         (results / "abs-grain" / file).unlink()
     summary = build_catalogue(folder, results, cores=2)
     assert summary.built == ("abs-grain",)
-    assert files(results) == files(undamaged)
+    assert contents(results) == contents(undamaged)
 
 
 def test_predictions_from_a_scan_are_checked_unless_the_description_says_none(

@@ -6,7 +6,6 @@ import json
 import os
 import signal
 import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -14,6 +13,7 @@ from pathlib import Path
 import psutil
 import pytest
 from filelock import FileLock
+from killed_build import contents, start_build
 
 from brdfpipe.catalogue.names import CatalogueError
 from brdfpipe.jobs import cleanup, failures
@@ -22,16 +22,6 @@ from brdfpipe.jobs.lock import BuildError
 from brdfpipe.jobs.summary import Summary
 
 Write = Callable[..., Path]
-
-BUILD = """
-import sys
-from pathlib import Path
-from brdfpipe import installation
-from brdfpipe import catalogue
-installation.project_folder = lambda: Path(sys.argv[1])
-from brdfpipe.cli.main import main
-main(["build", sys.argv[2], "--results", sys.argv[3], "--cores", "2"])
-"""
 
 PATIENCE = 600.0
 """Seconds to wait for what must happen, on however slow a machine."""
@@ -46,19 +36,9 @@ def build(folder: Path, results: Path) -> Summary:
     return build_catalogue(folder, results, cores=2)
 
 
-def content(results: Path) -> dict[str, bytes]:
-    """Every result, without logs and snakemake's own notes."""
-    return {
-        str(path.relative_to(results)): path.read_bytes()
-        for path in sorted(results.rglob("*"))
-        if path.is_file()
-        and path.relative_to(results).parts[0] not in ("logs", ".snakemake", ".build.lock", ".index.jsonl", "gate")
-    }
-
-
 def times(results: Path) -> dict[str, int]:
     """When each result was written."""
-    return {name: (results / name).stat().st_mtime_ns for name in content(results)}
+    return {name: (results / name).stat().st_mtime_ns for name in contents(results)}
 
 
 def rewritten(before: dict[str, int], after: dict[str, int]) -> set[str]:
@@ -73,7 +53,7 @@ def listed_failures(results: Path) -> dict[str, dict[str, str]]:
 def test_a_build_makes_every_material_and_the_catalogue(folder: Path, results: Path) -> None:
     summary = build(folder, results)
     assert (summary.built, summary.current, summary.failures) == (("first", "second"), (), {})
-    made = content(results)
+    made = contents(results)
     for name in ("first", "second"):
         assert {f"{name}/{part}" for part in ("surface.nc", "bsdf.nc", "report.html", f"exports/{name}.astm")} <= set(
             made
@@ -215,19 +195,19 @@ def test_a_stage_that_a_library_crashes_is_not_taken_for_a_shortage_of_memory(
 def test_a_damaged_result_that_crashes_its_reader_is_made_again(folder: Path, results: Path, write: Write) -> None:
     """A file whose content changed although the file system says nothing, as by a failing disk, and of which a library dies."""
     build(folder, results)
-    made = content(results)
+    made = contents(results)
     write(folder, "first", raw="damage first/index.nc")
     summary = build(folder, results)
     assert (summary.failures, summary.notices) == ({}, ("1 damaged or lost file made anew: first/index.nc",))
     write(folder, "first")
     assert build(folder, results).failures == {}
     (results / "damaged").unlink()  # the mark of the stage that it has done its damage
-    assert content(results) == made
+    assert contents(results) == made
 
 
 def test_deleting_an_intermediate_rebuilds_it_and_what_depends_on_it(folder: Path, results: Path) -> None:
     build(folder, results)
-    before, made = times(results), content(results)
+    before, made = times(results), contents(results)
     (results / "first" / "bsdf.nc").unlink()
     build(folder, results)
     after = rewritten(before, times(results))
@@ -251,7 +231,7 @@ def test_deleting_an_intermediate_rebuilds_it_and_what_depends_on_it(folder: Pat
         "index.html",
         "catalogue.lock.json",
     }
-    assert content(results) == made
+    assert contents(results) == made
 
 
 def test_editing_one_material_rebuilds_that_one_alone(folder: Path, results: Path) -> None:
@@ -422,7 +402,7 @@ def test_only_results_inside_the_folder_are_ever_deleted_as_damaged(tmp_path: Pa
 def test_a_dry_run_changes_nothing(folder: Path, results: Path) -> None:
     summary = build_catalogue(folder, results, cores=1, dry_run=True)
     assert summary.jobs == 41  # twenty stages of two materials, and the catalogue
-    assert content(results) == {}
+    assert contents(results) == {}
 
 
 def test_a_dry_run_plans_the_corrected_material_of_a_failed_build(folder: Path, results: Path, write: Write) -> None:
@@ -436,7 +416,7 @@ def test_a_dry_run_plans_the_corrected_material_of_a_failed_build(folder: Path, 
 def test_no_result_knows_where_it_was_made(folder: Path, results: Path, write: Write) -> None:
     write(folder, "bad", raw="refuse")
     build(folder, results)
-    assert not [name for name, data in content(results).items() if str(folder.parent).encode() in data]
+    assert not [name for name, data in contents(results).items() if str(folder.parent).encode() in data]
 
 
 def test_odd_text_in_paths_descriptions_and_messages_is_only_text(tmp_path: Path, results: Path, write: Write) -> None:
@@ -460,8 +440,7 @@ def stuck(project: Path, folder: Path, results: Path, write: Write) -> Iterator[
     """A build in a process of its own, of which two workers wait for a gate to open."""
     for name in ("first", "second"):
         write(folder, name, raw="wait")
-    command = [sys.executable, "-c", BUILD, str(project), str(folder), str(results)]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+    process = start_build(project, folder, results)
     logs = [results / "logs" / name / "surface.log" for name in ("first", "second")]
     try:
         wait_until("both jobs have a log", lambda: all(log.exists() for log in logs))
@@ -495,7 +474,7 @@ def test_a_killed_build_leaves_no_process_and_resumes(
     for file in ("gate", ".build.lock"):
         (undisturbed / file).touch()
     build(folder, undisturbed)
-    assert content(results) == content(undisturbed)
+    assert contents(results) == contents(undisturbed)
 
 
 @pytest.mark.parametrize(
