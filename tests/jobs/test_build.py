@@ -18,6 +18,7 @@ from killed_build import contents, start_build
 from brdfpipe.catalogue.names import CatalogueError
 from brdfpipe.jobs import cleanup, failures
 from brdfpipe.jobs.build import build as build_catalogue
+from brdfpipe.jobs.build import refuse_outdated
 from brdfpipe.jobs.lock import BuildError
 from brdfpipe.jobs.summary import Summary
 
@@ -262,6 +263,37 @@ def test_writing_out_a_default_rebuilds_nothing(folder: Path, results: Path) -> 
     with (folder / "first" / "material.yaml").open("a") as description:
         description.write("model: {masking: auto, multiple_scattering: auto}\n")
     assert build(folder, results).jobs == 0
+
+
+@pytest.mark.parametrize(
+    ("change", "problem"),
+    [
+        (
+            lambda folder, results: (folder / "first" / "raw.txt").write_text("9 9 9"),
+            "the results of first are not those",
+        ),
+        (
+            lambda folder, results: (folder / "second" / "material.yaml").write_text("["),
+            "materials that cannot be built: second; mend or remove them",
+        ),
+        (
+            lambda folder, results: (results / "second" / "bsdf.nc").write_text("edited"),
+            "the results of second are not",
+        ),
+        (lambda folder, results: (results / "index.html").unlink(), "the results of the catalogue are not those"),
+    ],
+    ids=["raw file", "description", "result", "page"],
+)
+def test_results_of_other_inputs_are_refused_by_name_and_nothing_is_built(
+    folder: Path, results: Path, change: Callable[[Path, Path], object], problem: str
+) -> None:
+    build(folder, results)
+    refuse_outdated(folder, results)
+    change(folder, results)
+    before = times(results)
+    with pytest.raises(BuildError, match=problem):
+        refuse_outdated(folder, results)
+    assert times(results) == before
 
 
 def test_a_new_time_on_an_unchanged_raw_file_rebuilds_nothing(folder: Path, results: Path) -> None:

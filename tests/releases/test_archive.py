@@ -205,6 +205,14 @@ def test_results_of_an_earlier_state_are_left_out(write: Write, tmp_path: Path) 
         assert not [name for name in archive.namelist() if "left" in name]
 
 
+def test_results_of_a_scene_that_the_catalogue_does_not_name_are_left_out(write: Write, tmp_path: Path) -> None:
+    other = tmp_path / "results" / "scenes" / "gloss-sheet"
+    other.mkdir(parents=True)
+    (other / "catalogue.csv").touch()
+    with zipfile.ZipFile(write("one.zip")) as archive:
+        assert not [name for name in archive.namelist() if "gloss-sheet" in name]
+
+
 def test_a_file_belongs_to_the_material_of_its_folder_alone(write: Write, tmp_path: Path) -> None:
     place = tmp_path / "results" / "other" / "black"
     place.mkdir(parents=True)

@@ -187,15 +187,20 @@ def diff(older: tuple[Path, ...], new: Path, as_json: bool, html: Path | None) -
 @click.option("--output", type=click.Path(path_type=Path), default=Path("release.zip"), show_default=True)
 @exit_on_error
 def release(catalogue: Path, metadata: Path, results: Path, config: Path | None, output: Path) -> int:
-    """Archive CATALOGUE, its results, configuration and library versions with metadata (RO-Crate) in one zip file."""
+    """Archive CATALOGUE, its results, configuration and library versions with metadata (RO-Crate) in one zip file.
+
+    Results that are not those of the present inputs, keys, code and libraries are refused. Those of scenes that the catalogue does not name are left out.
+    """
     from brdfpipe.catalogue.catalogue import load
     from brdfpipe.catalogue.configuration import load_config
     from brdfpipe.descriptions import reading
+    from brdfpipe.jobs.build import refuse_outdated
     from brdfpipe.jobs.lock import locked
     from brdfpipe.releases.archive import write_archive
     from brdfpipe.releases.release_keys import Release
 
     stated = reading.read(metadata, Release)
+    refuse_outdated(catalogue, results, config)
     with locked(results):
         parts = write_archive(load(catalogue, load_config(config)), results, stated, config, output)
     click.echo(

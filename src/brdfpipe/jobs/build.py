@@ -14,6 +14,7 @@ from typing import Any
 from brdfpipe.catalogue.catalogue import Catalogue, load
 from brdfpipe.catalogue.configuration import load_config
 from brdfpipe.catalogue.names import DESCRIPTION, RESULT_MARKS
+from brdfpipe.errors import abbreviated
 from brdfpipe.jobs import budgets, cleanup, failures, pool, summary
 from brdfpipe.jobs.failures import Failures
 from brdfpipe.jobs.fingerprint import fingerprint
@@ -109,6 +110,28 @@ def build(
         pages={name: page for name, page in pages.items() if page.exists()},
         notices=(*over, *notices),
     )
+
+
+def refuse_outdated(folder: Path, results: Path, config: Path | None = None) -> None:
+    """Refuse results that are not those of the present inputs, keys, code and libraries; nothing is built.
+
+    Raises
+    ------
+    BuildError : a build would compute something, or a material cannot be built; it names the materials and the command to run.
+    CatalogueError, InputError, SceneError : as in :func:`build`.
+    """
+    summary = build(folder, results, cores=1, config=config, dry_run=True)
+    if summary.failures:
+        raise BuildError(
+            f"materials that cannot be built: {abbreviated(sorted(summary.failures), 5)}; mend or remove them before a release"
+        )
+    if summary.jobs:
+        named = f"of {abbreviated(list(summary.built), 5)}" if summary.built else "of the catalogue"
+        options = f" --config {config}" if config else ""
+        raise BuildError(
+            f"{results}: the results {named} are not those of the present inputs ({summary.jobs} jobs would run); "
+            f"run `brdfpipe build {folder} --results {results}{options}` first"
+        )
 
 
 def _run_until_complete(

@@ -18,7 +18,7 @@ from brdfpipe.errors import BrdfpipeError, abbreviated, printable
 from brdfpipe.jobs.cleanup import NOTES, STALE
 from brdfpipe.releases.differences import Release
 from brdfpipe.releases.metadata import METADATA, README, Part, crate
-from brdfpipe.scenes.scene import is_file, parts_within_scene
+from brdfpipe.scenes.scene import FOLDER, is_file, parts_within_scene
 
 INPUTS, RESULTS, SOFTWARE = "inputs", "results", "software"
 """Folders of the archive."""
@@ -134,6 +134,8 @@ def _files(catalogue: Catalogue, results: Path, config: Path | None) -> Iterator
             path = (one.folder / one.content["scene"]).resolve()
             yield f"{INPUTS}/{path.relative_to(catalogue.folder).as_posix()}", path, ""
     stale = {path.parent for path in results.rglob(STALE)}
+    # A build of the archive's inputs makes those of the catalogue's own scenes alone; others may be of earlier inputs.
+    stale |= {path for path in (results / FOLDER).glob("*") if f"{FOLDER}/{path.name}/" not in _scenes(catalogue)}
     for path in _regular_files(results):
         place = path.relative_to(results)
         hidden = any(part.startswith(".") for part in place.parts)
@@ -148,6 +150,11 @@ def _files(catalogue: Catalogue, results: Path, config: Path | None) -> Iterator
         yield f"{SOFTWARE}/{Path(scene).relative_to(config.resolve().parent).as_posix()}", Path(scene), ""
     if (project / "requirements.lock").is_file():
         yield f"{SOFTWARE}/requirements.lock", project / "requirements.lock", ""
+
+
+def _scenes(catalogue: Catalogue) -> set[str]:
+    """Folders of the scenes of a catalogue in its results."""
+    return {scene.folder for scene in catalogue.scenes}
 
 
 def _material(place: Path, catalogue: Catalogue) -> str:
