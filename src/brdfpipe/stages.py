@@ -156,6 +156,8 @@ class Stage:
     """Another stage in whose place its result is read, where a scene has this one instead."""
     intermediate: bool = False
     """Whether the result may be deleted: it is made again only when another stage that needs it runs."""
+    fills_folder: bool = False
+    """Whether the stage also writes other files into the folder of its result, which is its alone."""
     memory: int = 1000
     """Largest memory of a job, MB; workers hold libraries and what earlier stages left, 900 MB in a build of 100 materials."""
     minutes: int = 0
@@ -680,6 +682,7 @@ _STAGES = (
         when=_has("rig"),
         keys=_block("rig", EmulatedRig.read_by("rig_run")),
         intermediate=True,
+        fills_folder=True,
         kind="",
         minutes=1,
     ),
@@ -691,6 +694,7 @@ _STAGES = (
         owner_kind="calibration",
         job_title="rig_run",
         intermediate=True,
+        fills_folder=True,
         kind="",
         minutes=1,
     ),

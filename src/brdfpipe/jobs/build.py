@@ -76,6 +76,8 @@ def build(
         run, index = SnakemakeRun(results, dry_run, interrupts.install), shared_index(results, fresh=True)
         mark, deleted = fingerprint(catalogue, results), list[str]()
         if failed_materials or not index.is_complete(mark):
+            if not dry_run:
+                cleanup.remove_unreadable_links(results, index.written)
             deleted = _run_until_complete(run, catalogue, snakemake_config, cores, failed_materials, interrupts)
             if not (dry_run or failed_materials or names):
                 index.complete(mark, index.examined)

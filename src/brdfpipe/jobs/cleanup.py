@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import suppress
 from pathlib import Path
 
@@ -33,6 +33,15 @@ def remove_leftovers(results: Path, log: str) -> None:
             if TEMPORARY.fullmatch(leftover.name):
                 with suppress(OSError):  # a folder that cannot be written is reported as a failure
                     leftover.unlink()
+
+
+def remove_unreadable_links(results: Path, written: Iterable[str]) -> None:
+    """Remove links that lead nowhere or in a circle from the places of results: snakemake would end the whole build."""
+    for name in written:
+        path = results / name
+        if path.is_symlink() and not path.exists():
+            with suppress(OSError):  # a folder that cannot be written is reported as a failure
+                path.unlink()
 
 
 def forget_failures(results: Path) -> None:

@@ -146,6 +146,11 @@ class Index:
         """
         return tuple(sorted((_name(path), self.digest(path) or absent(path)) for path in paths))
 
+    @property
+    def written(self) -> list[str]:
+        """Every result that a job wrote, what it wrote beside its outputs included."""
+        return list(self._written)
+
     # --- jobs
 
     def start(self, outputs: Sequence[str]) -> None:
@@ -159,7 +164,7 @@ class Index:
             self._append({"job": job})
 
     def finish(self, parameters: str, code: str, inputs: Inputs, outputs: Sequence[str]) -> None:
-        """Record a job that succeeded; its outputs are read."""
+        """Record a job that succeeded; its outputs are read, what it wrote beside them included."""
         stamps = {path: self._stamp(path) for path in outputs}
         files = {path: (stamp, _file_digest(self.folder / path)) for path, stamp in stamps.items() if stamp}
         record = Record(parameters, code, inputs, {path: digest for path, (_, digest) in files.items()})
@@ -177,11 +182,13 @@ class Index:
             self._append(line)
 
     def complete(self, fingerprint: str, files: Mapping[str, str | None]) -> None:
-        """Record a build without failures: the fingerprint of all that it depended on, and its files.
+        """Record a build without failures: the fingerprint of all that it depended on, its files, and what their jobs wrote beside them.
 
         Nothing is recorded if a raw file is not what it was when the build was planned, ``files``, or a result not what its job wrote:
         the next build compares the jobs one by one.
         """
+        beside = {path: None for job in files.keys() & self.jobs.keys() for path in sorted(self.jobs[job].outputs)}
+        files = beside | dict(files)
         if any(self.digest(path) not in self._expected(path, planned) for path, planned in files.items()):
             return
         present = tuple(path for path in files if self.digest(path))

@@ -323,7 +323,8 @@ class Pipeline:
         if outcome.error:
             raise pool.StageError(f"{job.description}: {outcome.error}")
         if index.inputs(inputs) == read:  # a file that changed meanwhile is read again by the next build
-            index.finish(digest_of(params.spec), self._code[rule], read, outputs)
+            beside = _files_below(Path(outputs[0]).parent) if stage.fills_folder else []
+            index.finish(digest_of(params.spec), self._code[rule], read, list(dict.fromkeys([*outputs, *beside])))
 
     def _script(self, stage: Stage) -> Path:
         return self.scripts / f"{stage.script}.py"
@@ -397,6 +398,10 @@ def _function_of(item: Any) -> InputFunction | None:
 def _flagged(item: Any) -> Any:
     """Snakemake's object with the flags of an input, which other objects may hold."""
     return getattr(item, "_file", item)
+
+
+def _files_below(folder: Path) -> list[str]:
+    return sorted(str(path) for path in folder.rglob("*") if path.is_file())
 
 
 def _times_attempt(value: int) -> Callable[[Any, int], int]:

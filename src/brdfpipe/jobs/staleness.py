@@ -85,12 +85,13 @@ class _Examiner:
         return self._verdicts[name]
 
     def _are_outputs_intact(self, job: PlannedJob, record: Record) -> bool:
-        """Whether the outputs are what the job wrote; one that only other jobs need may be absent."""
-        found = {path: self.index.digest(path) for path in job.outputs}
-        absent = {path for path in job.outputs if found[path] is None}
-        other = [path for path in job.outputs if path not in absent and found[path] != record.outputs.get(path)]
+        """Whether the outputs, and what the job wrote beside them, are what it wrote; those that only other jobs need may be absent, all together."""
+        paths = [*job.outputs, *(record.outputs.keys() - set(job.outputs))]
+        found = {path: self.index.digest(path) for path in paths}
+        absent = {path for path in paths if found[path] is None}
+        other = sorted(path for path in paths if path not in absent and found[path] != record.outputs.get(path))
         self.examination.replaced += other
-        return not other and not absent & self.needed
+        return not other and (not absent or (absent == set(paths) and not absent & self.needed))
 
     def _is_current(self, job: PlannedJob, record: Record, inputs: list[str]) -> bool:
         if (record.parameters, record.code) != (self.pipeline.parameters_of(job), self.pipeline.code_of(job)):
