@@ -209,6 +209,7 @@ def test_an_interrupt_exits_with_130(tmp_path: Path, monkeypatch: pytest.MonkeyP
 
 def test_diff_prints_lines_or_json(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     found = [Difference("black", "", "added")]
+    monkeypatch.setattr("brdfpipe.releases.differences.read_releases", lambda folder: {})
     monkeypatch.setattr("brdfpipe.releases.differences.differences", lambda old, new: found)
     assert run("diff", tmp_path, tmp_path).output.splitlines()[1] == "  black: added"
     (entry,) = json.loads(run("diff", "--json", tmp_path, tmp_path).output)
@@ -218,6 +219,7 @@ def test_diff_prints_lines_or_json(tmp_path: Path, monkeypatch: pytest.MonkeyPat
 def test_texts_of_files_show_their_hidden_characters(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     hidden, shown = "a\x9b2J\u202e", r"a\x9b2J\u202e"
     found = [Difference("black", "", "changed", causes=(Cause("key", "bsdf", hidden),))]
+    monkeypatch.setattr("brdfpipe.releases.differences.read_releases", lambda folder: {})
     monkeypatch.setattr("brdfpipe.releases.differences.differences", lambda old, new: found)
     assert run("diff", tmp_path, tmp_path).output.splitlines()[-1].endswith(shown)
     summary = Summary(

@@ -10,11 +10,16 @@ import xarray as xr
 
 from brdfpipe import store
 from brdfpipe.errors import BrdfpipeError
-from brdfpipe.releases.differences import Difference, differences
+from brdfpipe.releases import differences as releases_differences
+from brdfpipe.releases.differences import Difference, read_releases
 from brdfpipe.report import combine, summarise
 
 Release = Callable[..., Path]
 Plastic = Callable[..., dict[str, xr.Dataset]]
+
+
+def differences(old: Path, new: Path) -> list[Difference]:
+    return releases_differences.differences(read_releases(old), read_releases(new))
 
 
 def by_name(found: list[Difference]) -> dict[str, Difference]:

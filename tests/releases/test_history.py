@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 
+from brdfpipe.releases.differences import read_releases
 from brdfpipe.releases.history import histories
 
 
@@ -16,7 +17,7 @@ def test_each_material_has_its_numbers_and_gaps(
 ) -> None:
     first = release("first", {"black": plastic()})
     second = release("second", {"black": plastic(), "grey": plastic("grey")})
-    found = histories([first, second, first])
+    found = histories([read_releases(folder) for folder in (first, second, first)])
     assert set(found) == {("", "black"), ("", "grey")}
     assert found["", "black"].gloss_60.shape == (3,)
     # These results have no appearance, so neither gloss nor colour is known.

@@ -53,7 +53,7 @@ def test_changes_causes_and_history_are_shown_and_unchanged_materials_are_not() 
     history = {("", "black"): History(np.array([20.0, 25.0]), np.array([0.0, 1.5]))}
     html = changes_page([item, Difference("grey", "", "unchanged")], history, ["monday", "tuesday"])
     for words in (
-        "gloss_60 20 → 25",
+        "gloss_60 20.0 → 25.0",
         "a: 1 → 2",
         "20 to 25",
         "0 to 1.5",

@@ -24,10 +24,29 @@ def test_a_material_has_one_line_and_its_causes_below() -> None:
     text = lines([CHANGED, Difference("grey", "", "unchanged"), Difference("new", "", "added", built=(False, True))])
     assert text == [
         "catalogue: 1 changed, 1 added, 0 removed, 1 unchanged",
-        "  black: ΔE00 1.23; gloss_60 21.43 → 23.1; BRDF 2.13% rms, 5.00% at the 95th percentile; verdict pass → warn; 1 further quantity differs",
+        "  black: ΔE00 1.23; gloss_60 21.4 → 23.1; BRDF 2.13% rms, 5.00% at the 95th percentile; verdict pass → warn; haze none → 0.5",
         '    key (surface): form: "plane" → "none"',
         "  new: added",
     ]
+
+
+def test_differences_below_the_digits_of_the_table_are_left_to_the_json() -> None:
+    noise = Difference(
+        "black",
+        "",
+        "changed",
+        colour=1e-6,
+        brdf={"rms": 1e-7, "percentile_95": 2e-7, "albedo": 1e-7},
+        quantities={"gloss_60": (21.4300001, 21.43), "gloss_60_u": (0.123, 0.1231), "L": (50.0, 50.0000001)},
+    )
+    assert lines([noise])[1] == "  black: nothing differs within the digits of the table"
+    assert plain([noise])[0]["colour"] == 1e-6
+
+
+def test_the_first_further_quantities_are_named_and_the_others_counted() -> None:
+    names = ("haze", "gloss_60_u", "warning_count", "another", "one more")
+    many = Difference("black", "", "changed", quantities=dict.fromkeys(names, (1.0, 2.0)))
+    assert lines([many])[1].endswith("warning_count 1 → 2; 2 further quantities differ")
 
 
 def test_a_material_that_fails_now_says_why() -> None:

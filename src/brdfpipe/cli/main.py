@@ -163,17 +163,18 @@ def diff(older: tuple[Path, ...], new: Path, as_json: bool, html: Path | None) -
 
     from brdfpipe import store
     from brdfpipe.releases import words
-    from brdfpipe.releases.differences import differences
+    from brdfpipe.releases.differences import differences, read_releases
 
     if not older:
         raise click.UsageError("two folders of results are needed, the older one first")
-    found = differences(older[-1], new)
+    folders = [*older, new] if html else [older[-1], new]
+    releases = [read_releases(folder) for folder in folders]
+    found = differences(*releases[-2:])
     if html is not None:
         from brdfpipe.releases.history import histories
         from brdfpipe.releases.page import changes_page
 
-        folders = [*older, new]
-        store.write_text(html, changes_page(found, histories(folders), [folder.resolve().name for folder in folders]))
+        store.write_text(html, changes_page(found, histories(releases), [folder.resolve().name for folder in folders]))
     text = json.dumps(words.plain(found), indent=1, ensure_ascii=False) if as_json else "\n".join(words.lines(found))
     click.echo(text if as_json else printable(text))
     return 0

@@ -51,12 +51,12 @@ class Difference:
     """Why the BRDFs or the causes could not be compared."""
 
 
-def differences(old: Path, new: Path) -> list[Difference]:
-    """What changed between two folders of results.
+def differences(old: Releases, new: Releases) -> list[Difference]:
+    """What changed between two builds.
 
     Parameters
     ----------
-    old, new : folders of results of ``brdfpipe build``
+    old, new : results of ``brdfpipe build``, as :func:`read_releases` reads them
 
     Returns
     -------
@@ -64,18 +64,17 @@ def differences(old: Path, new: Path) -> list[Difference]:
 
     Raises
     ------
-    BrdfpipeError : a folder holds no results, or the two have no scene in common.
+    BrdfpipeError : the two have no scene in common.
     """
-    scenes = [scene_folders(folder) for folder in (old, new)]
-    if not set(scenes[0]) & set(scenes[1]):
-        words = [", ".join(scene or "catalogue" for scene in found) for found in scenes]
-        raise BrdfpipeError(f"no scene in common: {old} has {words[0]}, {new} has {words[1]}; build the same scene")
-    return [
-        difference
-        for scene in scenes[1]
-        if scene in scenes[0]
-        for difference in _of_scene(Release(old, scene), Release(new, scene))
-    ]
+    if not old.keys() & new.keys():
+        words = [f"{_folder(one)} has {', '.join(scene or 'catalogue' for scene in one)}" for one in (old, new)]
+        raise BrdfpipeError(f"no scene in common: {'; '.join(words)}; build the same scene")
+    return [difference for scene in new if scene in old for difference in _of_scene(old[scene], new[scene])]
+
+
+def read_releases(results: Path) -> Releases:
+    """The results of a build by scene, the default one first. Raises BrdfpipeError: there are none, or a table is damaged."""
+    return {scene: Release(results, scene) for scene in scene_folders(results)}
 
 
 def scene_folders(results: Path) -> list[str]:
@@ -115,6 +114,14 @@ class Release:
     def bsdf(self, name: str) -> Path:
         own = self.results / self.scene_folder / name / "bsdf.nc"
         return own if own.is_file() else self.results / name / "bsdf.nc"
+
+
+Releases = Mapping[str, Release]
+"""The results of one build: folder of a scene → its results."""
+
+
+def _folder(releases: Releases) -> Path:
+    return next(iter(releases.values())).results
 
 
 def _of_scene(old: Release, new: Release) -> Iterator[Difference]:

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from brdfpipe.geometry import Array
-from brdfpipe.releases.differences import Release, scene_folders
+from brdfpipe.releases.differences import Releases
 from brdfpipe.spectra.colorimetry import delta_e_00
 
 
@@ -23,21 +23,17 @@ class History:
     """(releases,) difference of the colour from that of the first release that has one [ΔE00]."""
 
 
-def histories(releases: Sequence[Path]) -> dict[tuple[str, str], History]:
+def histories(releases: Sequence[Releases]) -> dict[tuple[str, str], History]:
     """(scene, material) → its numbers over the releases.
 
     Parameters
     ----------
-    releases : folders of results, the oldest first
-
-    Raises
-    ------
-    BrdfpipeError : a folder holds no results.
+    releases : results of builds, the oldest first
     """
     values: dict[tuple[str, str], Array] = {}
-    for number, results in enumerate(releases):
-        for folder in scene_folders(results):
-            for name, row in Release(results, folder).rows.items():
+    for number, scenes in enumerate(releases):
+        for folder, release in scenes.items():
+            for name, row in release.rows.items():
                 series = values.setdefault((Path(folder).name, name), np.full((len(releases), 4), np.nan))
                 for column, quantity in enumerate(("gloss_60", "L", "a", "b")):
                     if quantity in row:

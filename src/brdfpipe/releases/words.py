@@ -7,9 +7,16 @@ from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from typing import Any
 
+from brdfpipe.appearance.quantities import quantities, quantities_on_request, quantity
 from brdfpipe.releases.differences import ADDED, CHANGED, REMOVED, UNCHANGED, Difference
 
 _GLOSS = ("gloss_20", "gloss_60", "gloss_85")
+
+_NAMED = 3
+"""Other quantities of a material that are named, in the order of the table."""
+
+_LEAST_BRDF = 5e-5
+"""Relative difference of BRDFs that is written: less is 0.00 %."""
 
 
 def lines(differences: Sequence[Difference]) -> list[str]:
@@ -22,7 +29,9 @@ def lines(differences: Sequence[Difference]) -> list[str]:
         text.append(f"{scene or 'catalogue'}: {listed}")
         for item in of_scene:
             if item.status != UNCHANGED:
-                text.append(f"  {item.material}: {'; '.join(findings(item)) or 'no quantity of the table differs'}")
+                text.append(
+                    f"  {item.material}: {'; '.join(findings(item)) or 'nothing differs within the digits of the table'}"
+                )
                 text += [f"    {cause.kind} ({cause.stage or 'material'}): {cause.text}" for cause in item.causes]
     return text
 
@@ -43,21 +52,38 @@ def findings(item: Difference) -> Iterator[str]:
         yield "built again"
     elif not item.built[0]:
         yield f"still not built, for another reason: {item.failure}"
-    if item.colour:
+    # The figures below the digits that the table has are rounding and are in the JSON alone.
+    if item.colour and item.colour >= 0.5 * 10.0 ** -quantity("L").decimals:
         yield f"ΔE00 {item.colour:.3g}"
-    for name in _GLOSS:
-        if name in item.quantities:
-            yield f"{name} {_change(item.quantities[name])}"
-    if item.brdf:
+    changes = {name: change for name, values in item.quantities.items() if (change := _change(name, *values))}
+    yield from (f"{name} {changes[name]}" for name in _GLOSS if name in changes)
+    if item.brdf.get("percentile_95", 0) >= _LEAST_BRDF:
         yield f"BRDF {item.brdf['rms']:.2%} rms, {item.brdf['percentile_95']:.2%} at the 95th percentile"
     if item.verdict[0] != item.verdict[1]:
         yield f"verdict {item.verdict[0] or 'none'} → {item.verdict[1] or 'none'}"
-    others = [name for name in item.quantities if name not in (*_GLOSS, *"Lab")]
-    if others:
-        yield f"{len(others)} further quantit{'y' if len(others) == 1 else 'ies'} differ{'s' if len(others) == 1 else ''}"
+    yield from _further([f"{name} {text}" for name, text in changes.items() if name not in (*_GLOSS, *"Lab")])
     if item.problem:
         yield f"not compared: {item.problem}"
 
 
-def _change(values: tuple[float | None, float | None]) -> str:
-    return " → ".join("none" if value is None else f"{value:.4g}" for value in values)
+def _further(changes: Sequence[str]) -> Iterator[str]:
+    """Other quantities, the first few by name."""
+    yield from changes[:_NAMED]
+    if (number := len(changes) - _NAMED) > 0:
+        yield f"{number} further quantit{'y differs' if number == 1 else 'ies differ'}"
+
+
+def _change(name: str, was: float | None, now: float | None) -> str:
+    """The values before and now in the digits that the result carries; empty where they are the same in these."""
+    before, after = (_digits(name, value) for value in (was, now))
+    return "" if before == after else f"{before} → {after}"
+
+
+def _digits(name: str, value: float | None) -> str:
+    """A value as the catalogue writes it: with the decimals of its quantity, an uncertainty with two digits, others with four."""
+    if value is None:
+        return "none"
+    if name in {one.u_name for one in (*quantities(), *quantities_on_request())}:
+        return f"{value:.2g}"
+    decimals = next((one.decimals for one in (*quantities(), *quantities_on_request()) if one.name == name), None)
+    return f"{value:.4g}" if decimals is None else f"{value:.{decimals}f}"
