@@ -18,6 +18,7 @@ from markupsafe import Markup
 from brdfpipe import vocabulary
 from brdfpipe.appearance.quantities import AppearanceQuantity
 from brdfpipe.appearance.verdicts import VERDICTS
+from brdfpipe.report import structured_data
 from brdfpipe.report.catalogue.rows import listed_quantities, texts
 from brdfpipe.report.formatting import MISSING, colour, value_with_u
 from brdfpipe.report.rendering import TEMPLATES, render
@@ -58,8 +59,10 @@ def catalogue_page(
     vocabulary.validate(catalogue, "catalogue")
     listed = listed_quantities(catalogue.variables)
     shown = [quantity for quantity in listed if np.isfinite(catalogue[quantity.name].values.astype(float)).any()]
+    named = scene or {"name": "", "purpose": ""}
     return render(
         "catalogue.html.j2",
+        linked_data=structured_data.of_catalogue(named["name"], named["purpose"]),
         script=Markup(script),
         script_hash=b64encode(sha256(script.encode()).digest()).decode(),
         headings=[

@@ -18,7 +18,7 @@ from brdfpipe.appearance.verdicts import (
     stage_warnings,
     verdicts,
 )
-from brdfpipe.report import comparison
+from brdfpipe.report import comparison, structured_data
 from brdfpipe.report.cards import Section
 from brdfpipe.report.formatting import colour
 from brdfpipe.report.material.checks import checks_section, exports_table, provenance
@@ -51,7 +51,7 @@ def material_page(
 
     Returns
     -------
-    HTML that requests nothing from elsewhere, without scripts, the same bytes for the same datasets
+    HTML that requests nothing from elsewhere, without scripts that run, the same bytes for the same datasets; with the data set as JSON-LD
     """
     known = own_stages(datasets)
     appearance = known.get("appearance")
@@ -77,13 +77,15 @@ def material_page(
         Section("Files", tables=[exported] if exported else []),
     ]
     prediction = [spectrum_section(known), *inputs] if measured else []
+    name = material_name(known)
+    technique = f"{route(known).capitalize()} from {basis(known) or 'no data'}"
+    files = [f"exports/{file}" for row in exported.rows for file in row[0].split(", ")] if exported else []
     return render(
         "material.html.j2",
-        name=material_name(known),
+        name=name,
+        linked_data=structured_data.of_material(known, name, description, technique, files),
         description=description,
-        route=": ".join(
-            filter(None, (f"{route(known).capitalize()} from {basis(known) or 'no data'}", solution_words(known)))
-        ),
+        route=": ".join(filter(None, (technique, solution_words(known)))),
         patch=colour(appearance["srgb"].values) if appearance is not None and "srgb" in appearance else None,
         viewing=viewing_conditions(appearance),
         look=picture(known.get("preview")),
