@@ -33,6 +33,9 @@ def test_a_build_names_the_materials_that_exceed_the_budget(folder: Path, projec
     ]
     scene.write_text(f"{SCENE}budget: {{bytes: 1e9, seconds: 1e9}}\n")
     assert build(folder, tmp_path / "results", cores=2, scene=str(scene)).notices == ()
+    for damaged in ("", "[1]", "{}"):
+        (tmp_path / "results" / "logs" / "first" / "spectrum.json").write_text(damaged)
+        assert build(folder, tmp_path / "results", cores=2, scene=str(scene)).notices == ()
 
 
 @pytest.mark.parametrize(

@@ -26,7 +26,7 @@ def exceeded(results: Path, catalogue: Catalogue, names: Iterable[str]) -> Itera
         places = list(dict.fromkeys(["", scene.folder])) if budget else []
         if "seconds" in budget:
             records = [path for place in places for path in (results / "logs" / place / name).glob("*.json")]
-            costs = {path.stem: float(json.loads(path.read_text(encoding="utf-8"))["wall_s"]) for path in records}
+            costs = {path.stem: seconds for path in records if (seconds := _recorded_seconds(path)) is not None}
             subject = Subject(catalogue[name], catalogue.config, (), scene)
             seconds = _cost(subject, costs)
             if seconds > budget["seconds"]:
@@ -44,6 +44,14 @@ def exceeded(results: Path, catalogue: Catalogue, names: Iterable[str]) -> Itera
                     f"{name}: takes {size} bytes; the budget of the scene {scene.name} is {budget['bytes']}; largest: "
                     f"{', '.join(f'{file} ({sizes[file]})' for file in largest)}"
                 )
+
+
+def _recorded_seconds(record: Path) -> float | None:
+    """The time of a job; None where its record is damaged: it is no result, and the job does not run again for it."""
+    try:
+        return float(json.loads(record.read_text(encoding="utf-8"))["wall_s"])
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
 
 
 def _without(subject: Subject, costs: Mapping[str, float], budget: float) -> str:

@@ -145,11 +145,14 @@ def remember_parsed(file: Path) -> Iterator[None]:
     """Reuse what an earlier process has parsed, from a file: parsing all modules takes seconds."""
     _remembered.clear()
     with suppress(OSError, ValueError):  # no such file, or a damaged one
-        content = json.loads(file.read_bytes())
-        _remembered.update({key: _Source(tuple(imports), digest) for key, imports, digest in content})
+        # A changed bit could hide an import, and with it a change of code, so the content has a digest.
+        check, _, content = file.read_text(encoding="utf-8").partition("\n")
+        if check == hashlib.sha256(content.encode()).hexdigest():
+            _remembered.update({key: _Source(tuple(imports), digest) for key, imports, digest in json.loads(content)})
     yield
     if _parsed.keys() != _remembered.keys():
-        write_text(file, json.dumps([(key, *source) for key, source in _parsed.items()]))
+        content = json.dumps([(key, *source) for key, source in _parsed.items()])
+        write_text(file, f"{hashlib.sha256(content.encode()).hexdigest()}\n{content}")
 
 
 def _imports(tree: ast.AST) -> Iterator[str]:

@@ -243,6 +243,9 @@ class Index:
             file.write(canonical_json(line) + "\n")
 
     def _read(self) -> None:
+        if self._path.is_symlink() and not self._path.exists():  # nothing could be appended to it
+            with suppress(OSError):
+                self._path.unlink()
         parts = sorted(self.folder.glob(_PART.format("*")), key=lambda path: path.stat().st_mtime_ns)
         lines = [""]
         for path in (self._path, *parts):
