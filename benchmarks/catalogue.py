@@ -1,6 +1,7 @@
 """Measure a catalogue: 100 varied copies of the examples, built from nothing, then again unchanged.
 
-``make benchmark`` runs it on two cores and writes ``benchmarks/results/catalogue.json``. Two requirements are judged:
+``make benchmark`` runs it on two cores and writes ``benchmarks/results/catalogue.json``. ``--growth`` measures how time and memory grow with the
+number of materials instead, on varied small materials of all routes (:mod:`varied_materials`). Two requirements are judged:
 
 * wall time at most 1.5 times the sum of the stages' times over the cores, so that the machinery stays out of the way;
 * a second run of an unchanged catalogue takes at most 5 s.
@@ -23,6 +24,7 @@ from pathlib import Path
 from typing import Any
 
 import click
+from varied_materials import write_varied
 
 PROJECT = Path(__file__).resolve().parents[1]
 RATIO_LIMIT = 1.5
@@ -34,13 +36,25 @@ Record = dict[str, Any]
 @click.command()
 @click.option("--materials", default=100, show_default=True)
 @click.option("--cores", default=2, show_default=True)
-@click.option("--scene", default="catalogue", show_default=True, help="The scene that is built.")
+@click.option(
+    "--scene",
+    default=None,
+    help="The scene that is built.  [default: catalogue; gloss-sheet, the cheapest, for --growth]",
+)
+@click.option("--growth", is_flag=True, help="Build catalogues of growing numbers of varied small materials.")
+@click.option("--numbers", default="100,1000,10000", show_default=True, help="Of materials, for --growth.")
 @click.option(
     "--folder", type=click.Path(path_type=Path), default=None, help="Where to work; default a temporary folder."
 )
 @click.option("--out", type=click.Path(path_type=Path), default=PROJECT / "benchmarks" / "results" / "catalogue.json")
-def main(materials: int, cores: int, scene: str, folder: Path | None, out: Path) -> None:
+def main(
+    materials: int, cores: int, scene: str | None, growth: bool, numbers: str, folder: Path | None, out: Path
+) -> None:
     """Build many materials and measure the time of each stage."""
+    if growth:
+        measure_growth([int(number) for number in numbers.split(",")], cores, scene or "gloss-sheet", folder, out)
+        return
+    scene = scene or "catalogue"
     with tempfile.TemporaryDirectory() as temporary:
         work = folder or Path(temporary)
         catalogue, results = work / "catalogue", work / "results"
@@ -56,6 +70,68 @@ def main(materials: int, cores: int, scene: str, folder: Path | None, out: Path)
     out.write_text(json.dumps(summary, indent=1) + "\n", encoding="utf-8")
     if not (summary["ratio_met"] and summary["second_run_met"]):
         sys.exit("a requirement is not met")
+
+
+def measure_growth(numbers: list[int], cores: int, scene: str, folder: Path | None, out: Path) -> None:
+    """Build, build unchanged, and build with one changed material, for each number of materials; print the table and the exponents."""
+    rows: list[Record] = []
+    for number in numbers:
+        with tempfile.TemporaryDirectory() as temporary:
+            work = folder or Path(temporary)
+            catalogue, results = work / f"catalogue-{number}", work / f"results-{number}"
+            for path in (catalogue, results):
+                shutil.rmtree(path, ignore_errors=True)
+            first_material, *_ = write_varied(catalogue, number)
+            first = timed_build(catalogue, results, cores, scene)
+            stages = sum(record["cpu_s"] for record in stage_records(results))
+            unchanged = timed_build(catalogue, results, cores, scene)
+            with (first_material / "material.yaml").open("a") as description:
+                description.write("description: changed\n")
+            edited = timed_build(catalogue, results, cores, scene)
+            rows.append(
+                {
+                    "materials": number,
+                    "first_s": round(first["wall_s"], 2),
+                    "first_front_cpu_s": round(first["front_cpu_s"], 2),
+                    "stages_cpu_s": round(stages, 2),
+                    "unchanged_s": round(unchanged["wall_s"], 2),
+                    "unchanged_cpu_s": round(unchanged["front_cpu_s"], 2),
+                    "edited_s": round(edited["wall_s"], 2),
+                    "edited_cpu_s": round(edited["front_cpu_s"], 2),
+                    "first_peak_mb": round(first["front_peak_mb"]),
+                    "unchanged_peak_mb": round(unchanged["front_peak_mb"]),
+                }
+            )
+            print(growth_as_text(rows[-1:], header=len(rows) == 1), flush=True)
+    exponents = fitted_exponents(rows)
+    print("exponents of N: " + ", ".join(f"{name} {value:.2f}" for name, value in exponents.items()))
+    target = out.with_name("catalogue-growth.json")
+    target.parent.mkdir(parents=True, exist_ok=True)
+    target.write_text(
+        json.dumps({"cores": cores, "scene": scene, "rows": rows, "exponents": exponents}, indent=1) + "\n",
+        encoding="utf-8",
+    )
+
+
+def fitted_exponents(rows: list[Record]) -> dict[str, float]:
+    """The slope of log figure by log number of materials, by least squares; none with a single number."""
+    import numpy as np
+
+    if len(rows) < 2:
+        return {}
+    logs = np.log([row["materials"] for row in rows])
+    return {
+        name: round(float(np.polyfit(logs, np.log([max(row[name], 1e-3) for row in rows]), 1)[0]), 3)
+        for name in rows[0]
+        if name != "materials"
+    }
+
+
+def growth_as_text(rows: list[Record], header: bool) -> str:
+    """The table a person reads."""
+    names = list(rows[0])
+    lines = ["  ".join(names)] if header else []
+    return "\n".join([*lines, *("  ".join(f"{row[name]:>{len(name)}}" for name in names) for row in rows)])
 
 
 def write_catalogue(folder: Path, count: int) -> None:
@@ -74,16 +150,29 @@ def write_catalogue(folder: Path, count: int) -> None:
 
 
 def timed_build(catalogue: Path, results: Path, cores: int, scene: str) -> Record:
-    """Build on the command line, in a separate process."""
+    """Build on the command line, in a separate process; ``front``: of this process alone, without the workers that run the stages."""
     command = [sys.executable, "-m", "brdfpipe.cli", "build", catalogue, "--results", results]
     command += ["--cores", str(cores), "--scene", scene]
-    before, started, begin = os.times(), time.time(), time.perf_counter()
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    wall, after = time.perf_counter() - begin, os.times()
-    if done.returncode:
-        sys.exit(done.stdout + done.stderr)
-    main_cpu = after.children_user + after.children_system - before.children_user - before.children_system
-    return {"wall_s": wall, "started": started, "cpu_s": main_cpu, "output": done.stdout.splitlines()[0]}
+    started, begin = time.time(), time.perf_counter()
+    with tempfile.TemporaryFile("w+") as output:
+        process = subprocess.Popen(command, stdout=output, stderr=subprocess.STDOUT, text=True)
+        _, status, used = os.wait4(
+            process.pid, 0
+        )  # its own use: the workers are children of the server that forks them
+        wall = time.perf_counter() - begin
+        output.seek(0)
+        text = output.read()
+    process.returncode = os.waitstatus_to_exitcode(status)
+    if process.returncode:
+        sys.exit(text)
+    summary = next(line for line in text.splitlines() if " up to date, " in line)
+    return {
+        "wall_s": wall,
+        "started": started,
+        "front_cpu_s": used.ru_utime + used.ru_stime,
+        "front_peak_mb": used.ru_maxrss / 1024,
+        "output": summary,
+    }
 
 
 def stage_records(results: Path) -> list[Record]:
