@@ -198,6 +198,12 @@ def test_an_error_of_the_operating_system_is_one_line_and_exit_2(
     assert (done.exit_code, done.stderr) == (2, "brdfpipe: results/logs: Permission denied\n")
 
 
+def test_a_profile_is_refused_with_the_command_for_clusters(tmp_path: Path) -> None:
+    done = run("build", tmp_path, "--profile", "workflow/profiles/slurm")
+    assert done.exit_code == 2
+    assert "`snakemake --profile workflow/profiles/slurm --config catalogue=" in done.stderr
+
+
 def test_an_interrupt_exits_with_130(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def interrupted(*given: object, **named: object) -> None:
         raise KeyboardInterrupt

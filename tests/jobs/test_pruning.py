@@ -125,3 +125,16 @@ def test_pruned_results_are_not_missing(folders: tuple[Path, Path]) -> None:
     assert verify_results(results) == []
     prune(results, load(catalogue))
     assert verify_results(results) == []
+
+
+def test_the_last_logs_of_snakemake_stay(folders: tuple[Path, Path]) -> None:
+    catalogue, results = folders
+    prune(results, load(catalogue))
+    place = results / ".snakemake" / "log"
+    place.mkdir(parents=True)
+    logs = [place / f"2026-01-0{day}T120000.000000.snakemake.log" for day in range(1, 6)]
+    for path in (*logs, place / "notes.txt"):
+        path.write_text("a log")
+    assert prune(results, load(catalogue)).paths == ()
+    assert set(prune(results, load(catalogue), keep=2).paths) == {str(path.relative_to(results)) for path in logs[:3]}
+    assert set(place.iterdir()) == {*logs[3:], place / "notes.txt"}

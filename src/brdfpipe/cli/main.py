@@ -46,6 +46,7 @@ def main() -> None:
     help="Exit with 1 also if a material has this verdict or a worse one.",
 )
 @click.option("--notify", default=None, metavar="COMMAND", help="Run afterwards, with the summary (JSON) as its input.")
+@click.option("--profile", default=None, hidden=True)
 @exit_on_error
 def build(
     catalogue: Path,
@@ -58,6 +59,7 @@ def build(
     as_json: bool,
     fail_on: str | None,
     notify: str | None,
+    profile: str | None,
 ) -> int:
     """Build every material of CATALOGUE that changed, and the catalogue page; with NAMEs (* and ? match), these materials alone.
 
@@ -69,6 +71,12 @@ def build(
     from brdfpipe.jobs import notification
     from brdfpipe.jobs.build import build as build_catalogue
 
+    if profile is not None:
+        raise click.UsageError(
+            "brdfpipe build runs on this machine alone; on a cluster run "
+            f"`snakemake --profile {profile} --config catalogue={catalogue.resolve()} --directory {results}`, and after failures "
+            "brdfpipe build without --profile, which makes the page (docs/cluster.md)"
+        )
     summary = build_catalogue(
         catalogue, results, cores=cores or _cores(), config=config, scene=scene, names=names, dry_run=dry_run
     )
@@ -83,17 +91,24 @@ def build(
 @main.command()
 @click.argument("catalogue", type=FOLDER)
 @click.option("--results", type=PRESENT, default=Path("results"), show_default=True, help="Folder of the results.")
+@click.option(
+    "--keep",
+    type=click.IntRange(0),
+    default=10,
+    show_default=True,
+    help="How many of snakemake's logs stay, the last ones; each build writes one.",
+)
 @click.option("--dry-run", is_flag=True, help="List what would be deleted; delete nothing.")
 @exit_on_error
-def prune(catalogue: Path, results: Path, dry_run: bool) -> int:
-    """Delete the results of materials and calibrations that are no longer in CATALOGUE."""
+def prune(catalogue: Path, results: Path, keep: int, dry_run: bool) -> int:
+    """Delete the results of materials and calibrations that are no longer in CATALOGUE, and snakemake's old logs."""
     from brdfpipe.catalogue.catalogue import load
     from brdfpipe.jobs.lock import locked
     from brdfpipe.jobs.pruning import prune as prune_results
 
     loaded = load(catalogue)
     with locked(results):
-        pruned = prune_results(results, loaded, dry_run=dry_run)
+        pruned = prune_results(results, loaded, keep=keep, dry_run=dry_run)
     for path in pruned.paths:
         click.echo(path)
     verb = "would be deleted" if dry_run else "deleted"

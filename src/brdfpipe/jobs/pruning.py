@@ -1,4 +1,4 @@
-"""Delete results of materials and calibrations that are no longer in the catalogue."""
+"""Delete results of materials and calibrations that are no longer in the catalogue, and old logs."""
 
 from __future__ import annotations
 
@@ -16,10 +16,13 @@ from brdfpipe.jobs.cleanup import folders_of_materials
 from brdfpipe.jobs.index import Index
 from brdfpipe.scenes.scene import FOLDER
 
+KEPT = 10
+"""Logs of snakemake that stay."""
+
 
 @dataclass(frozen=True)
 class Pruned:
-    """Results without a material."""
+    """Results without a material, and old logs."""
 
     paths: tuple[str, ...]
     """In relation to the folder of results."""
@@ -27,8 +30,8 @@ class Pruned:
     """Of all their files [byte]."""
 
 
-def prune(results: Path, catalogue: Catalogue, *, dry_run: bool = False) -> Pruned:
-    """Delete the results of materials and calibrations that left the catalogue, in all scenes, and their logs.
+def prune(results: Path, catalogue: Catalogue, *, keep: int = KEPT, dry_run: bool = False) -> Pruned:
+    """Delete the results of materials and calibrations that left the catalogue, in all scenes, and their logs; and snakemake's old logs.
 
     Results of materials that cannot be built now stay, and so do those of other scenes and copies under other names. Links are not
     followed and not deleted.
@@ -37,6 +40,7 @@ def prune(results: Path, catalogue: Catalogue, *, dry_run: bool = False) -> Prun
     ----------
     results : folder of the results, under the lock of a build
     catalogue : what was built there
+    keep : how many of snakemake's logs stay, the last ones; each run of it writes one
     dry_run : only list what would be deleted
 
     Raises
@@ -61,7 +65,9 @@ def prune(results: Path, catalogue: Catalogue, *, dry_run: bool = False) -> Prun
         if path.is_dir()
     ]
     calibrations = [path for path in (results / CALIBRATIONS).glob("*") if _has_left(path, catalogue)]
-    unused = [path for path in (*paths, *logs, *calibrations) if not path.is_symlink()]
+    old = sorted((results / ".snakemake" / "log").glob("*.snakemake.log"))  # their names begin with the time
+    old = old[: max(len(old) - keep, 0)]
+    unused = [path for path in (*paths, *logs, *calibrations, *old) if not path.is_symlink()]
     size = sum(map(_size, unused))
     if not dry_run:
         for path in unused:
