@@ -54,15 +54,17 @@ class SnakemakeRun(logging.Handler):
         self.failed, self.errors = [], []
         self._jobs: dict[int, tuple[str, str]] = {}
         self._bar: Any = None
-        root, log = installation.project_folder(), self.results / LOG
+        root, log = installation.project_folder(), self.results.absolute() / LOG
+        settings = log.with_suffix(".json")
         arguments = [
             *("--snakefile", str(root / "Snakefile"), "--directory", str(self.results), "--cores", str(cores)),
             *("--profile", "none", "--workflow-profile", str(root / "workflow" / "profiles" / "default")),
             *("--quiet", "all", "--nocolor", "--nolock", *(["--dry-run"] if self.dry_run else [])),
-            *("--configfile", str(log.with_suffix(".json").resolve())),
+            *("--configfile", str(settings)),
         ]
         log.parent.mkdir(parents=True, exist_ok=True)
-        log.with_suffix(".json").write_text(json.dumps(config), encoding="utf-8")
+        settings.unlink(missing_ok=True)  # it may be a link that leads nowhere
+        settings.write_text(json.dumps(config), encoding="utf-8")
         logger = logging.getLogger("snakemake")
         logger.addHandler(self)
         try:
