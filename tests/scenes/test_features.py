@@ -7,11 +7,15 @@ import pytest
 import relief_maps
 import samples
 
+from brdfpipe.appearance.gloss_meter import gloss
 from brdfpipe.facets.analytic_distributions import analytic
 from brdfpipe.facets.estimation import estimate
 from brdfpipe.masking.visibility_choice import THRESHOLD, choose
 from brdfpipe.optics.index import refractive_index
+from brdfpipe.psd.estimation import estimate as roughness_spectrum
+from brdfpipe.scenes.candidate_model import build
 from brdfpipe.scenes.features import FEATURES, features, in_spreads, slope_lowness
+from brdfpipe.scenes.ladders import FULLEST, Candidate
 from brdfpipe.scenes.model_inputs import ModelInputs
 
 
@@ -42,6 +46,7 @@ def test_a_feature_is_a_property_of_the_material_not_of_its_units():
     of_scan = ("heights_known", "masking", "masking_in_peak", "masking_over_limit", "slope_lowness", "height_skewness")
     assert [found[name] for name in (*of_scan, "log_anisotropy")] == [0] * 7
     assert found["log_height"] == pytest.approx(np.log(3))
+    assert found["facets_at_grazing"] == 1
 
 
 def test_like_materials_are_near_and_a_metal_is_far_from_a_plastic():
@@ -79,3 +84,26 @@ def test_masking_is_over_the_limit_where_auto_traces_it(seed, slope):
             assert chosen.attrs["masking"] == "height-correlated"
         elif max(abs(found["masking"]), abs(found["masking_in_peak"])) > 2 * THRESHOLD:
             assert chosen.attrs["masking"] == "measured"
+
+
+@pytest.mark.parametrize("modulation", [0.0, 0.6])
+def test_further_reflections_matter_at_grazing_only_where_facets_reflect_light_there(modulation):
+    """Two lines of equal slopes, of which those of the modulated one are not normally distributed."""
+    rng, count = np.random.default_rng(0), 4096
+    height = np.fft.irfft(
+        np.fft.rfft(rng.standard_normal(count)) * np.exp(-((np.pi * np.fft.rfftfreq(count) * 14) ** 2) / 2)
+    )
+    height *= 1 + modulation * np.sin(2 * np.pi * np.arange(count) / 1024)
+    surface = samples.surface(0.1 * height / np.diff(height).std())
+    facets = estimate(surface, isotropic=True)
+    inputs = ModelInputs(refractive_index(1.5), None, facets, roughness_spectrum(surface), surface)
+    complete, without = (
+        float(gloss(build(candidate, inputs), [85])[0])
+        for candidate in (FULLEST, Candidate(multiple_scattering="none"))
+    )
+    if modulation == 0:
+        assert features(inputs)["facets_at_grazing"] == 0
+        assert abs(complete - without) < 1e-3
+    else:
+        assert 0.2 < features(inputs)["facets_at_grazing"] < 0.8
+        assert complete - without > 0.2

@@ -5,10 +5,14 @@ from __future__ import annotations
 import json
 
 import pytest
-from pareto_fronts import PAGE, RECORD, front, record, with_tables
+from pareto_fronts import PAGE, RECORD, example_inputs, front, record, with_tables
+from tradeoff import planned_scenes
 
 from brdfpipe.descriptions.rendering import with_section
+from brdfpipe.scenes import experience
+from brdfpipe.scenes.features import features
 from brdfpipe.scenes.ladders import FULLEST, Candidate
+from brdfpipe.scenes.planning import chosen, judge
 from brdfpipe.scenes.scene import load_scene
 
 
@@ -53,3 +57,23 @@ def test_only_the_named_section_of_a_page_is_replaced():
     assert with_section(page, "one", "new \\1") == page.replace("old", "new \\1")
     with pytest.raises(ValueError, match="three"):
         with_section(page, "three", "")
+
+
+@pytest.mark.slow  # tests/scenes/test_features.py has a cheap one: the light that set the error of an example apart
+def test_the_choice_for_an_example_errs_by_less_than_its_margin_in_every_scene(tmp_path):
+    errors = {
+        (row["choice"], row["option"]): next(iter(row["errors"].values()))["value"]
+        for row in json.loads(RECORD.read_text())
+    }
+    over, cheaper = [], 0
+    for name, inputs in example_inputs(tmp_path / "results"):
+        found = features(inputs)
+        for scene in planned_scenes():
+            known = experience.read(scene.experience_file)
+            choice = chosen(judge(inputs.structures, found, known), scene.content["tolerance"])
+            error = errors[f"{scene.name}, {name}", str(choice.candidate)]
+            cheaper += choice.candidate != FULLEST
+            if error > max(choice.bound, known.least_error) and choice.candidate != FULLEST:
+                over.append((scene.name, name, str(choice.candidate), error, choice.bound))
+    assert over == []
+    assert cheaper > 10

@@ -7,6 +7,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from brdfpipe.bsdf.wave.builder import LARGEST_INCIDENCE, Relief
+from brdfpipe.bsdf.wave.roughness import roughness
 from brdfpipe.facets.facet_dataset import radial_average
 from brdfpipe.facets.planar_density import PlanarDensity
 from brdfpipe.facets.radial_density import RadialDensity
@@ -20,6 +22,7 @@ FEATURES = {
     "log_slope": 1.5,
     "tail": 0.1,
     "log_height": 1.8,
+    "facets_at_grazing": 0.4,
     "heights_known": 0.3,
     "masking_in_peak": 0.1,
     "masking": 0.1,
@@ -51,6 +54,8 @@ def features(inputs: ModelInputs) -> dict[str, float]:
     - ``log_slope``: ln of the median slope of the facets
     - ``tail``: ln of the slope that 5 % of the facets exceed over the median slope
     - ``log_height``: ln of the rms height over 555 nm, which is at most 3; that of 3 without a roughness spectrum
+    - ``facets_at_grazing``: share of the light at 85° that the fullest model reflects as by facets, the rest as by waves; 1 without a
+      roughness spectrum. What the facets leave out is an error of this share alone
     - ``heights_known``: 1 with a scan, 0 without
     - ``masking_in_peak``, ``masking``: ln of the light that facets reflect at 75° after Smith over that which is traced on the heights, in the
       peak and in all; 0 where none is traced
@@ -72,8 +77,11 @@ def features(inputs: ModelInputs) -> dict[str, float]:
     result = dict.fromkeys(FEATURES, 0.0)
     result["log_slope"] = math.log(slope)
     result["tail"] = math.log(density.slope_quantile(STEEP) / slope)
-    result["log_height"] = math.log(_LARGEST_HEIGHT)
+    result["log_height"], result["facets_at_grazing"] = math.log(_LARGEST_HEIGHT), 1.0
     if inputs.psd is not None:
+        relief = Relief.of(*roughness(inputs.psd), inputs.psd, "auto", None, facets)
+        share = relief.share(np.array([LARGEST_INCIDENCE]), np.array([ONE_WAVELENGTH]))
+        result["facets_at_grazing"] = float(share[0, 0])
         height = max(float(inputs.psd["sigma_heights"]), 1e-4) / (1e-3 * ONE_WAVELENGTH)
         result["log_height"] = math.log(min(height, _LARGEST_HEIGHT))
     if inputs.surface is not None:

@@ -8,6 +8,7 @@ part IV, 209), Bennett & Porteus 1961 (J. Opt. Soc. Am. 51, 123).
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from itertools import product
@@ -449,9 +450,10 @@ def _cut_error(
 def _cut(correlation: height_transform.Autocorrelation, sigma: float) -> float:
     """Frequency above which the roughness has the phase variance :data:`FINE_PHASE`, at most half an inverse wavelength [um-1]."""
     limit, low, high = np.sqrt(FINE_PHASE) * _MIDDLE / (4 * np.pi), 1e-2 / correlation.length, 0.5 / _MIDDLE
-    cuts = np.geomspace(low, high, 60) if low < high else np.empty(0)
-    rough = [cut for cut in cuts if height_transform.split(correlation, sigma, float(cut))[1] > limit]
-    return float(max(rough, default=high))
+    cuts = np.geomspace(low, high, 60).tolist() if low < high else []
+    # The roughness above a cut decreases with the cut.
+    rough = bisect_left(cuts, True, key=lambda cut: height_transform.split(correlation, sigma, cut)[1] <= limit)
+    return float(cuts[rough - 1]) if rough else high
 
 
 # --- energy and the diffuse base
