@@ -64,6 +64,24 @@ def test_check_refuses_a_scene_that_cannot_be_used(tmp_path: Path) -> None:
     assert "mine.yaml" in done.output
 
 
+def test_check_lists_every_mistake_of_a_scene(tmp_path: Path) -> None:
+    write(tmp_path, "plain")
+    write(tmp_path, "own", f"{COLOUR}scene: mine.yaml\n")
+    scene = tmp_path / "own" / "mine.yaml"
+    scene.write_text("purpose: a test\nresults: [glos]\nmetric: gloss\ntolerance: 0\n")
+    given = run("check", tmp_path, "--scene", scene)
+    assert given.exit_code == 2
+    first, *others = given.stderr.splitlines()
+    assert first.startswith("brdfpipe: mine.yaml")
+    assert len(others) == 2
+    assert all(line.startswith("  also mine.yaml") for line in others)
+    named = run("check", tmp_path)
+    assert named.exit_code == 1
+    for mistake in ("domain", "glos", "tolerance"):
+        assert mistake in given.stderr
+        assert mistake in named.output
+
+
 def test_check_covers_formats(tmp_path: Path) -> None:
     write(tmp_path, "m", "surface: {file: a.abc}\nindex: PP\n")
     (tmp_path / "m" / "a.abc").write_text("x")

@@ -37,6 +37,7 @@ def test_any_text_of_the_command_is_read(tmp_path: Path) -> None:
         ("'", "is no command"),
         ("/no/such/program", "could not start"),
         (python("import sys; print(1, file=sys.stderr); sys.exit(3)"), "failed with exit code 3: 1"),
+        (python("import sys; sys.exit(3)"), "failed with exit code 3, and wrote nothing to its standard error$"),
     ],
 )
 def test_a_command_that_does_not_work_is_named(command: str, problem: str) -> None:

@@ -167,8 +167,11 @@ def test_a_mistake_is_refused_in_words(tmp_path: Path, text: str, words: str) ->
 
 
 def test_names_that_would_mix_results_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(BrdfpipeError, match="name of the default scene"):
-        load_scene(written(tmp_path, "catalogue"))
+    for name in ("catalogue", "gloss-sheet", "Gloss-Sheet"):
+        with pytest.raises(BrdfpipeError, match=f"{name.lower()} is the name of a shipped scene"):
+            load_scene(written(tmp_path / name, name))
+    copied = written(tmp_path / "copy", "gloss-sheet", shipped_scenes()["gloss-sheet"].read_text(encoding="utf-8"))
+    assert load_scene(copied) == load_scene("gloss-sheet")
     with pytest.raises(BrdfpipeError, match="not an accepted name"):
         load_scene(written(tmp_path, "my scene"))
     one, other = Scene("mine", {"tolerance": 1}), Scene("mine", {"tolerance": 2})

@@ -94,7 +94,7 @@ def _scene_of(path: Path, content: Mapping[str, Any], config: Mapping[str, Any])
     try:
         return load_scene(content["scene"], path.parent)
     except BrdfpipeError as error:
-        raise InputError(path, str(error), where="scene") from None
+        raise InputError(path, str(error), where="scene", others=getattr(error, "others", ())) from None
 
 
 def raw_files(content: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:

@@ -21,7 +21,7 @@ FILE = click.Path(path_type=Path, dir_okay=False, exists=True)
 
 
 def exit_on_error(command: Callable[Arguments, int]) -> Callable[Arguments, None]:
-    """Exit with the code that a command returns; with 2 and one line after an error, with 130 after an interrupt, 143 after SIGTERM."""
+    """Exit with the code that a command returns; with 2 and a line for each mistake after an error, with 130 after an interrupt, 143 after SIGTERM."""
 
     @wraps(command)
     def run(*args: Arguments.args, **kwargs: Arguments.kwargs) -> None:
@@ -29,6 +29,8 @@ def exit_on_error(command: Callable[Arguments, int]) -> Callable[Arguments, None
             code = command(*args, **kwargs)
         except BrdfpipeError as refusal:
             click.echo(f"brdfpipe: {printable(str(refusal))}", err=True)
+            for further in getattr(refusal, "others", ()):
+                click.echo(f"  also {printable(further)}", err=True)
             code = 2
         except OSError as error:
             click.echo(f"brdfpipe: {error.filename or 'operating system'}: {error.strerror or error}", err=True)

@@ -32,4 +32,5 @@ def notify(command: str, text: str) -> None:
         raise BrdfpipeError(f"the notification {words[0]} took more than {PATIENCE:g} s and was stopped") from error
     if done.returncode:
         last = printable(done.stderr.decode(errors="backslashreplace").strip().rpartition("\n")[2])
-        raise BrdfpipeError(f"the notification {words[0]} failed with exit code {done.returncode}: {last}")
+        reason = f": {last}" if last else ", and wrote nothing to its standard error"
+        raise BrdfpipeError(f"the notification {words[0]} failed with exit code {done.returncode}{reason}")

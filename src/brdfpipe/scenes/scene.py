@@ -166,9 +166,18 @@ def load_scene(value: str | Path, folder: Path | None = None) -> Scene:
     path = (folder or Path()) / value
     if not path.is_file():
         raise SceneError(f"scene {str(value)[:200]!r}: no such file; accepted: {', '.join(shipped)}; or a file")
-    if path.stem == DEFAULT and not path.samefile(shipped[DEFAULT]):
-        raise SceneError(f"scene {path.name}: the name of the default scene; accepted: any other name of the file")
-    return read_scene(path)
+    scene = read_scene(path)
+    if (namesake := _shipped_namesake(scene)) is not None and scene.digest != read_scene(shipped[namesake]).digest:
+        raise SceneError(
+            f"scene {path.name}: {namesake} is the name of a shipped scene, which has another content and the same folder of results; "
+            "accepted: any other name of the file"
+        )
+    return scene
+
+
+def _shipped_namesake(scene: Scene) -> str | None:
+    """The shipped scene of the same name, None without one; some file systems ignore letter case."""
+    return next((name for name in shipped_scenes() if name.casefold() == scene.name.casefold()), None)
 
 
 def read_scene(path: Path) -> Scene:
