@@ -106,6 +106,21 @@ def test_light_that_waves_miss_is_judged_whatever_the_optics(missed, verdict):
         assert judgement.advice.startswith(advice) == (verdict != "pass")
 
 
+@pytest.mark.parametrize("optics", ["facets", "wave"])
+def test_a_simpler_model_whose_error_the_scene_accepts_lowers_no_verdict(optics):
+    known = datasets(psd=psd.analytic("gaussian", sigma=0.03, length=5.0))
+    known["bsdf"] = known["bsdf"].assign(energy_residual=0.02).assign_attrs(optics=optics)
+    plan = xr.Dataset(attrs={"scene": "gloss-sheet", "choice": f"optics {optics}"})
+    alone, planned = judged(known), judged(known | {"plan": plan})
+    assert planned[ROUGHNESS].verdict == "pass"
+    assert (alone[ROUGHNESS].verdict == "fail") == (optics == "facets")
+    assert "the scene gloss-sheet accepts the error" in planned[ROUGHNESS].finding
+    assert planned["Light that waves miss"].verdict == ("pass" if optics == "wave" else "warn")
+    for condition in alone.keys() - {ROUGHNESS, "Light that waves miss"}:
+        assert planned[condition] == alone[condition]
+    assert judged(known | {"plan": plan.assign_attrs(choice="fullest")}) == alone
+
+
 def test_the_phase_variance_is_that_of_long_waves_too():
     short = psd.analytic("gaussian", sigma=0.03, length=5.0)
     both = [judged(datasets(psd=one))[ROUGHNESS] for one in (short, short.assign(long_sigma=5.0))]

@@ -8,8 +8,10 @@ import samples
 
 from brdfpipe import vocabulary
 from brdfpipe.appearance.gloss_meter import gloss
+from brdfpipe.bsdf.lambert_gauss import lambertian
 from brdfpipe.bsdf.microfacet.builder import build as build_microfacet
 from brdfpipe.bsdf.registry import representation
+from brdfpipe.bsdf.wave.builder import build as build_wave
 from brdfpipe.facets.analytic_distributions import analytic
 from brdfpipe.facets.estimation import estimate
 from brdfpipe.facets.radial_density import RadialDensity
@@ -74,3 +76,21 @@ def test_a_candidate_that_needs_what_is_missing_is_refused(inputs):
         build(Candidate("lambert"), replace(inputs, spectrum=None))
     with pytest.raises(ValueError, match="roughness spectrum"):
         build(Candidate(**{**SIMPLE, "optics": "wave"}), replace(inputs, psd=None))
+
+
+def test_no_warning_is_of_what_a_candidate_leaves_out(inputs):
+    steep = replace(inputs, psd=inputs.psd.assign(psd=9 * inputs.psd["psd"], fit_sigma=3 * inputs.psd["fit_sigma"]))
+    waves = build_wave(steep.psd, index=steep.index, spectrum=steep.spectrum, optics="wave")
+    for candidate, text, model in (
+        (Candidate("lambert", **SIMPLE), "No surface is given", lambertian(steep.spectrum)),
+        (Candidate(**{**SIMPLE, "optics": "wave"}), "`model.optics", waves),
+    ):
+        assert any(text in warning for warning in vocabulary.warnings(model))
+        assert not any(text in warning for warning in vocabulary.warnings(build(candidate, steep)))
+
+
+def test_warnings_of_the_inputs_stay(inputs):
+    dark = inputs.spectrum.assign(total_reflectance=0 * inputs.spectrum["total_reflectance"] + 0.01)
+    for name in ("counted", "lambert-gauss"):
+        texts = vocabulary.warnings(build(Candidate(name, **SIMPLE), replace(inputs, spectrum=dark)))
+        assert any("specular albedo" in text for text in texts)

@@ -37,3 +37,6 @@ def test_a_candidate_is_named_by_what_it_leaves_out():
     assert str(FULLEST) == "fullest"
     assert str(Candidate(optics="facets", multiple_scattering="none")) == "optics facets, multiple scattering none"
     assert len(Candidate(optics="facets", multiple_scattering="none").leaves_out) == 2
+    assert Candidate("lambert", "facets", "height-correlated", "none").leaves_out == (
+        "all gloss: the total reflectance is diffuse",
+    )

@@ -134,6 +134,8 @@ def _regime(datasets: Datasets) -> Judgement | None:
     phase = phase_variances(known_rms_height(datasets["psd"]))
     finding = "g = " + ", ".join(f"{g:.3g} at {angle}°" for angle, g in phase.items())
     condition = "Roughness against wavelength (550 nm)"
+    if accepted := _accepted_by_scene(datasets):
+        return Judgement(condition, f"{finding}; {accepted}", "pass")
     if _by_waves(datasets):
         return Judgement(condition, f"{finding}; waves and facets", "pass")
     if datasets["bsdf"].attrs["representation"] in REFERENCES:
@@ -174,6 +176,14 @@ def _by_waves(datasets: Datasets) -> bool:
     return str(datasets["bsdf"].attrs.get("optics", "facets")) != "facets"
 
 
+def _accepted_by_scene(datasets: Datasets) -> str:
+    """In words, that the scene accepts the error of a simpler model; empty where no plan chose one. The fullest model is judged by itself."""
+    plan = datasets.get("plan")
+    if plan is None or plan.attrs["choice"] == "fullest":
+        return ""
+    return f"of what the model leaves out, the scene {plan.attrs['scene']} accepts the error"
+
+
 def _pitch(datasets: Datasets) -> Judgement | None:
     if "surface" not in datasets:
         return None
@@ -210,6 +220,7 @@ def _pitch(datasets: Datasets) -> Judgement | None:
     exponent, uncertainty = float(psd["fit_slope"]), float(psd["fit_slope_u"])
     with_waves = (
         _by_waves(datasets)
+        or bool(_accepted_by_scene(datasets))
         or datasets["bsdf"].attrs["representation"] == "kirchhoff"
         or "front_wave_sigma" in datasets["bsdf"]
     )
@@ -248,8 +259,11 @@ def _energy(datasets: Datasets) -> Judgement | None:
     if "energy_residual" not in bsdf:
         return None
     missed = float(bsdf["energy_residual"])
-    verdict = _verdict_by_limits(missed, missed_light.LIMITS)
+    # The fullest model is not of waves alone.
+    accepted = _accepted_by_scene(datasets) if bsdf.attrs.get("optics") == "wave" else ""
+    verdict = "pass" if accepted else _verdict_by_limits(missed, missed_light.LIMITS)
     finding = f"up to {missed:.2%} of the incident light" if missed >= 5e-5 else "less than 0.01% of the incident light"
+    finding = "; ".join(filter(None, (finding, accepted)))
     return Judgement("Light that waves miss", finding, verdict, "" if verdict == "pass" else missed_light.advice(bsdf))
 
 

@@ -9,8 +9,8 @@ from brdfpipe import vocabulary
 from brdfpipe.bsdf.representations.lambert_gauss import LambertGauss
 
 
-def lambertian(spectrum: xr.Dataset) -> xr.Dataset:
-    """A perfectly diffuse BSDF, representation ``lambert_gauss``, of a ``spectrum``, with a warning that no gloss is modelled."""
+def lambertian(spectrum: xr.Dataset, *, gloss_matters: bool = True) -> xr.Dataset:
+    """A perfectly diffuse BSDF, representation ``lambert_gauss``, of a ``spectrum``; where gloss matters, with a warning that none is modelled."""
     vocabulary.validate(spectrum, "spectrum")
     no_lobe = ("theta_i", np.zeros(2))
     bsdf = xr.Dataset(
@@ -25,10 +25,11 @@ def lambertian(spectrum: xr.Dataset) -> xr.Dataset:
         coords={"wavelength": spectrum["wavelength"].values, "theta_i": [0.0, 90.0]},
         attrs={"representation": LambertGauss.name},
     )
-    warnings = [
+    no_surface = (
         "No surface is given, so the material is modelled as perfectly diffuse: gloss and haze are those of a matt sheet of this "
         "colour. Add a `surface` to material.yaml (a scan, or an assumed finish) to model its gloss."
-    ]
+    )
+    warnings = [no_surface] if gloss_matters else []
     if spectrum.attrs["geometry"] == "sce":
         warnings.insert(
             0,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 import xarray as xr
@@ -33,6 +34,9 @@ MEDIAN_WIDTH = {"beckmann": 1 / math.sqrt(math.log(2)), "ggx": 1.0}
 WIDE_STEP = 40.0
 """Step of the bands ``every 40 nm`` [nm]."""
 
+ADVICE_ON_MODELS = "`model."
+"""In warnings that advise a key of the model in the description: the choice of a candidate is not the user's."""
+
 
 def build(candidate: Candidate, inputs: ModelInputs) -> xr.Dataset:
     """The BSDF of a candidate.
@@ -44,7 +48,7 @@ def build(candidate: Candidate, inputs: ModelInputs) -> xr.Dataset:
 
     Returns
     -------
-    Dataset of kind ``bsdf``
+    Dataset of kind ``bsdf``, without warnings of what the candidate leaves out
 
     Raises
     ------
@@ -55,14 +59,16 @@ def build(candidate: Candidate, inputs: ModelInputs) -> xr.Dataset:
     if candidate.distribution == "lambert":
         if spectrum is None:
             raise ValueError("a Lambertian material needs a spectrum")
-        return lambertian(spectrum)
+        return lambertian(spectrum, gloss_matters=False)
     if inputs.facets is None:
         raise ValueError(f"{candidate} needs facets")
     base = "coupled" if candidate.diffuse == "coupled" else "none"
     if candidate.optics == "wave":
         if inputs.psd is None:
             raise ValueError(f"{candidate} needs a roughness spectrum")
-        return build_wave(inputs.psd, index=index, spectrum=spectrum, diffuse=base, optics="wave")
+        waves_alone = build_wave(inputs.psd, index=index, spectrum=spectrum, diffuse=base, optics="wave")
+        texts = vocabulary.warnings(waves_alone)
+        return _with_warnings(waves_alone, [text for text in texts if ADVICE_ON_MODELS not in text])
     facets = _facets(candidate.distribution, inputs.facets)
     visibility = reflections = None
     if inputs.surface is not None and candidate.distribution in ("counted", "isotropic"):
@@ -83,7 +89,7 @@ def build(candidate: Candidate, inputs: ModelInputs) -> xr.Dataset:
         surface_alone=waves is not None,
     )
     if candidate.distribution == "lambert-gauss":
-        return fit_lambert_gauss(bsdf, FITTED_INCIDENCES)
+        return _with_warnings(fit_lambert_gauss(bsdf, FITTED_INCIDENCES), vocabulary.warnings(bsdf))
     if waves is None:
         return bsdf
     return build_wave(
@@ -117,6 +123,12 @@ def banded(candidate: Candidate, inputs: ModelInputs) -> tuple[xr.Dataset, xr.Da
     )
     nearest = np.unique(np.abs(known[:, None] - np.asarray(wanted)).argmin(axis=0))
     return index, spectrum.isel(wavelength=nearest)
+
+
+def _with_warnings(bsdf: xr.Dataset, texts: Sequence[str]) -> xr.Dataset:
+    """A BSDF with these warnings in place of its own."""
+    attributes = {name: value for name, value in bsdf.attrs.items() if name != "warnings"}
+    return vocabulary.add_warning(bsdf.drop_attrs(deep=False).assign_attrs(attributes), *texts)
 
 
 def _at_one_wavelength(index: xr.Dataset) -> xr.Dataset:

@@ -76,7 +76,9 @@ class Candidate:
 
     @property
     def leaves_out(self) -> tuple[str, ...]:
-        """What its rungs leave out."""
+        """What its rungs leave out; of a surface without gloss, that alone."""
+        if self.distribution == "lambert":
+            return (LADDERS["distribution"][0].leaves_out,)
         chosen = (next(rung for rung in LADDERS[name] if rung.name == value) for name, value in self.rungs.items())
         return tuple(rung.leaves_out for rung in chosen if rung.leaves_out)
 

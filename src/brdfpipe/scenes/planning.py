@@ -69,7 +69,7 @@ def chosen(judged: Sequence[Judged], tolerance: float) -> Judged:
 
 
 class Achievable(NamedTuple):
-    """The best that can be achieved for a material."""
+    """The best that can be achieved for a material: smaller tolerances are refused, this one and larger ones are not."""
 
     error: float
     """In the unit of the metric"""
@@ -79,18 +79,25 @@ class Achievable(NamedTuple):
 def achievable(features: Mapping[str, float], experience: Experience, tolerance: float) -> Achievable | None:
     """The best error for a material, where it is certain that no model has one within the tolerance; else None.
 
-    Either the fullest model itself misses the tolerance with 99 % certainty, by what it missed on other materials, or errors as small
+    Either the fullest model itself misses smaller errors with 99 % certainty, by what it missed on other materials, or errors as small
     were not told apart when they were measured.
     """
+    limits = []
     if experience.model_error is not None:
         of_model = experience.model_error.at(in_spreads(features).tolist())
-        if of_model.bound(-CERTAINTY) > tolerance:
-            return Achievable(of_model.bound(0.0), "materials like this one have that error with the fullest model")
-    if experience.materials and tolerance < experience.least_error:
-        return Achievable(
-            experience.least_error, "smaller errors were not told apart when those of models were measured"
-        )
-    return None
+        text = "the fullest model itself has a larger error with 99 % certainty, by what it misses on other materials"
+        limits.append(Achievable(of_model.bound(-CERTAINTY), text))
+    if experience.materials:
+        text = "smaller errors were not told apart when those of models were measured"
+        limits.append(Achievable(experience.least_error, text))
+    best = max(limits, key=lambda limit: limit.error, default=None)
+    return best if best is not None and tolerance < best.error else None
+
+
+def not_below(value: float) -> str:
+    """A positive number in two digits, rounded to the next that is not below it."""
+    nearest = float(f"{value:.2g}")
+    return f"{nearest if nearest >= value else nearest + 10 ** (math.floor(math.log10(value)) - 1):.2g}"
 
 
 def plan(
@@ -118,8 +125,8 @@ def plan(
     best = achievable(found, usable, tolerance)
     if best is not None:
         raise ToleranceError(
-            f"scene {scene!r}: the metric {metric!r} cannot achieve `tolerance`: found {tolerance:g} {unit}; the best achievable is about "
-            f"{best.error:.2g} {unit}: {best.reason}; raise `tolerance` to that, or set `model: fullest`"
+            f"scene {scene!r}: the metric {metric!r} cannot achieve `tolerance`: found {tolerance:g} {unit}; the best achievable is "
+            f"{not_below(best.error)} {unit}: {best.reason}; raise `tolerance` to that, or set `model: fullest`"
         )
     judged = judge(inputs.structures, found, usable)
     choice = chosen(judged, tolerance)

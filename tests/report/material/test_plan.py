@@ -2,7 +2,7 @@
 
 from tried_models import FACETS, ORIGIN, SLOPES, known
 
-from brdfpipe.report.material.plan import plan_section
+from brdfpipe.report.material.plan import choice_words, plan_section
 from brdfpipe.scenes.ladders import FULLEST, Candidate
 from brdfpipe.scenes.planning import chosen, judge, plan_dataset
 
@@ -21,3 +21,17 @@ def test_a_page_lists_the_candidates_by_cost_and_names_the_chosen_one():
 
 def test_a_page_without_a_plan_says_nothing_of_it():
     assert plan_section({}).tables == []
+    assert choice_words({}) == ""
+
+
+def test_the_head_of_a_page_says_in_words_what_the_chosen_model_leaves_out():
+    judged = judge((FULLEST, FACETS), ORIGIN, known(*SLOPES))
+    scene = {"scene": "gloss-sheet", "metric": "gloss", "unit": "GU"}
+    cheaper, fullest = (
+        choice_words({"plan": plan_dataset(judged, chosen(judged, tolerance), ORIGIN, **scene, tolerance=tolerance)})
+        for tolerance in (1.0, 0.01)
+    )
+    assert "the model leaves out diffraction, and the coherent light of smooth surfaces" in cheaper
+    assert "expected to be 0.3 GU" in cheaper
+    assert cheaper.endswith("the scene accepts 1 GU")
+    assert fullest == ""

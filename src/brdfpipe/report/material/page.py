@@ -26,7 +26,7 @@ from brdfpipe.report.material.colour import colour_section
 from brdfpipe.report.material.head import key_numbers, picture
 from brdfpipe.report.material.inputs import effect_pigment_section, facet_section, spectrum_section, surface_section
 from brdfpipe.report.material.model_error import model_error_section
-from brdfpipe.report.material.plan import plan_section
+from brdfpipe.report.material.plan import choice_words, plan_section
 from brdfpipe.report.material.reflection import lambert_gauss_section, reflection_section
 from brdfpipe.report.material.roughness import roughness_section
 from brdfpipe.report.rendering import material_name, own_stages, render
@@ -86,6 +86,7 @@ def material_page(
         linked_data=structured_data.of_material(known, name, description, technique, files),
         description=description,
         route=": ".join(filter(None, (technique, solution_words(known)))),
+        choice=choice_words(known),
         patch=colour(appearance["srgb"].values) if appearance is not None and "srgb" in appearance else None,
         viewing=viewing_conditions(appearance),
         look=picture(known.get("preview")),

@@ -10,6 +10,7 @@ import xarray as xr
 from brdfpipe.report.cards import Section, Table
 from brdfpipe.report.formatting import MISSING
 from brdfpipe.scenes.ladders import LADDERS, Candidate
+from brdfpipe.scenes.planning import chosen_candidate
 
 _TITLE = "The cheapest model that the scene accepts"
 
@@ -36,6 +37,19 @@ def plan_section(datasets: Mapping[str, xr.Dataset]) -> Section:
     history = str(plan.attrs.get("history", "")).splitlines()
     section.tables.append(Table("Models of the surface", columns, rows, accepted + (history[-1] if history else "")))
     return section
+
+
+def choice_words(datasets: Mapping[str, xr.Dataset]) -> str:
+    """What the planned model leaves out, and by how much it may err; empty without a plan, or where nothing is left out."""
+    if (plan := datasets.get("plan")) is None or not (left_out := chosen_candidate(plan).leaves_out):
+        return ""
+    at = int(plan["chosen"].values.argmax())
+    expected, bound = (float(plan[name].values[at]) for name in ("expected_error", "error_bound"))
+    unit = plan.attrs["unit"]
+    return (
+        f"For the scene {plan.attrs['scene']}, the model leaves out {'; and '.join(left_out)}. The error by this is expected to be {expected:.2g} "
+        f"{unit}, and with the margin for a single material {bound:.2g} {unit}; the scene accepts {float(plan.attrs['tolerance']):g} {unit}"
+    )
 
 
 def _row(plan: xr.Dataset, at: int) -> tuple[str, ...]:
