@@ -377,21 +377,23 @@ def source_of_bsdf(subject: Subject) -> str:
 _EVERYWHERE = Domain({"hemisphere": {"theta_i": [0, 90], "phi_i": [0, 360]}})
 
 
-def _appearance_parts(subject: Subject) -> dict[str, list[Any]]:
-    """The parts of the appearance that the scene asks for → their geometries in its domain; gloss and haze without any are left out."""
+def geometries_in(domain: Domain, config: Mapping[str, Any]) -> dict[str, list[Any]]:
+    """Parts of the appearance that depend on the domain of a scene → the geometries of the configuration, or of the domain, in it."""
     from brdfpipe.appearance.colours import FLOP_GEOMETRIES, GEOMETRIES
 
-    further = subject.config["appearance"]
-    domain = _EVERYWHERE if subject.scene is None else subject.scene.domain
+    further = config["appearance"]
     # Names of the flop index first: 45as45 is the same geometry as 45:0.
     names = [*FLOP_GEOMETRIES, *GEOMETRIES, *further["geometries"]]
-    found: dict[str, list[Any]] = {
-        "gloss": geometries.gloss_angles(domain, subject.config["gloss_angles"]),
+    return {
+        "gloss": geometries.gloss_angles(domain, config["gloss_angles"]),
         "haze": geometries.haze_windows(domain, further["haze"]),
         "colour": geometries.colour_geometries(domain, names),
     }
-    if found["colour"] == geometries.colour_geometries(_EVERYWHERE, names):
-        found["colour"] = []
+
+
+def _appearance_parts(subject: Subject) -> dict[str, list[Any]]:
+    """The parts of the appearance that the scene asks for → their geometries in its domain; gloss and haze without any are left out."""
+    found = geometries_in(_EVERYWHERE if subject.scene is None else subject.scene.domain, subject.config)
     wanted = PARTS if subject.scene is None else subject.scene.parts
     return {part: found.get(part, []) for part in wanted if part not in ("gloss", "haze") or found[part]}
 
@@ -414,7 +416,8 @@ def _appearance(subject: Subject) -> dict[str, Any]:
     if "colour" in parts:
         settings |= {"illuminant": config["illuminant"], "observer": config["observer"]}
         own = {"geometries": parts["colour"], "standard_geometries": False}
-        settings |= own if parts["colour"] else {"geometries": config["appearance"]["geometries"]}
+        every = parts["colour"] == geometries_in(_EVERYWHERE, config)["colour"]
+        settings |= {"geometries": config["appearance"]["geometries"]} if every else own
     return settings
 
 

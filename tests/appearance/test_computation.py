@@ -133,7 +133,10 @@ def test_only_the_asked_parts_are_computed_with_the_values_of_the_whole() -> Non
     assert set(colours.data_vars) == {"lab", "lab_u", "luminous_reflectance", "srgb"}
     # Rounding: the light is summed in another order.
     assert np.allclose(colours["lab"].sel(geometry="45as45"), whole["lab"].sel(geometry="45as45"), atol=1e-9)
-    for part in (gloss, haze, colours):
+    total = appearance.compute_appearance(bsdf, parts=["colour"], geometries=[], standard_geometries=False)
+    assert list(total["geometry"].values) == ["8:total"]
+    assert set(total.data_vars) == set(colours.data_vars)
+    for part in (gloss, haze, colours, total):
         vocabulary.validate(part, "appearance")
 
 

@@ -18,6 +18,7 @@ domain: {hemisphere: {}}
 results: [checks]
 metric: rendering
 tolerance: 1
+model: fullest
 """
 
 

@@ -308,6 +308,11 @@ def test_the_appearance_is_computed_at_the_geometries_of_the_scene_alone(subject
     assert set(colour["geometries"]) == {"45as-15", "45as15", "45as25", "45as45", "45as75", "45as110"}  # type: ignore[call-overload]
     assert colour["standard_geometries"] is False
     assert settings("luminaire-raytrace") == {"parts": ["transmission"]}
+    content = {**load_scene("gloss-sheet").content, "results": ["colour"]}
+    of_total = STAGES["appearance"].parameters(
+        Subject(subjects["catalogue"].owner, subjects["catalogue"].config, (), Scene("mine", content))
+    )
+    assert (of_total["geometries"], of_total["standard_geometries"]) == ([], False)
     dashboard = settings("dashboard-veiling-glare")
     assert dashboard["parts"] == []
     assert cabin_of(dashboard["cabin"]) == Cabin()  # type: ignore[arg-type]

@@ -23,7 +23,7 @@ def main() -> None:
     """Trustworthy BRDFs for a catalogue of plastics, paints and films."""
 
 
-@main.command()
+@main.command(short_help="Build every material of CATALOGUE that changed.")
 @click.argument("catalogue", type=FOLDER)
 @click.argument("names", nargs=-1, metavar="[NAME]...")
 @click.option("--results", type=FOLDER, default=Path("results"), show_default=True, help="Folder of the results.")
@@ -88,7 +88,7 @@ def build(
     return code
 
 
-@main.command()
+@main.command(short_help="Delete results of materials that left CATALOGUE.")
 @click.argument("catalogue", type=FOLDER)
 @click.option("--results", type=PRESENT, default=Path("results"), show_default=True, help="Folder of the results.")
 @click.option(
@@ -116,7 +116,7 @@ def prune(catalogue: Path, results: Path, keep: int, dry_run: bool) -> int:
     return 0
 
 
-@main.command()
+@main.command(short_help="Check the descriptions and files of CATALOGUE.")
 @click.argument("catalogue", type=FOLDER)
 @click.option("--config", type=FILE, default=None, help="Configuration instead of the project's config/config.yaml.")
 @click.option("--scene", default=None, metavar="NAME|FILE", help="As for `brdfpipe build`.")
@@ -133,6 +133,7 @@ def check(catalogue: Path, config: Path | None, scene: str | None) -> int:
     from brdfpipe.catalogue.format_checks import check_formats
     from brdfpipe.catalogue.material import summary_words
     from brdfpipe.jobs.runs import planned_runs
+    from brdfpipe.jobs.scene_notices import scene_notices
     from brdfpipe.surfaces.reading import check_readable
 
     loaded = load(catalogue, load_config(config), scene)
@@ -156,11 +157,13 @@ def check(catalogue: Path, config: Path | None, scene: str | None) -> int:
             click.echo(f"  also {further}")
     for name, reason in ignored(loaded.folder).items():
         click.echo(f"{name}: ignored: {reason}")
+    for notice in scene_notices(loaded.scenes, loaded.config):
+        click.echo(notice)
     click.echo(f"{len(summaries)} ok, {len(problems)} wrong")
     return 1 if problems else 0
 
 
-@main.command()
+@main.command(short_help="Report what changed between two results, and why.")
 @click.argument("older", type=FOLDER, nargs=-1, metavar="[EARLIER]... OLD")
 @click.argument("new", type=FOLDER)
 @click.option("--json", "as_json", is_flag=True, help="Print all figures as JSON instead of lines.")
@@ -195,7 +198,7 @@ def diff(older: tuple[Path, ...], new: Path, as_json: bool, html: Path | None) -
     return 0
 
 
-@main.command()
+@main.command(short_help="Archive CATALOGUE and its results in one zip file.")
 @click.argument("catalogue", type=FOLDER)
 @click.option("--metadata", type=FILE, required=True, help="release.yaml: title, creators, publisher, date, license.")
 @click.option("--results", type=PRESENT, default=Path("results"), show_default=True, help="Folder of the results.")
@@ -225,7 +228,7 @@ def release(catalogue: Path, metadata: Path, results: Path, config: Path | None,
     return 0
 
 
-@main.command()
+@main.command(short_help="Check that no file of RESULTS is damaged.")
 @click.argument("results", type=click.Path(path_type=Path, exists=True))
 @exit_on_error
 def verify(results: Path) -> int:
@@ -243,7 +246,7 @@ def verify(results: Path) -> int:
     return 1 if problems else 0
 
 
-@main.command()
+@main.command(short_help="List the shipped scenes.")
 @exit_on_error
 def scenes() -> int:
     """List the shipped scenes, their purposes and what they ask for."""
@@ -255,7 +258,7 @@ def scenes() -> int:
     return 0
 
 
-@main.command()
+@main.command(short_help="Start a material NAME.")
 @click.argument("name")
 @click.option("--folder", type=FOLDER, default=Path(), show_default=True, help="The catalogue.")
 @exit_on_error

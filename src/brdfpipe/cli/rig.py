@@ -47,7 +47,7 @@ def rig() -> None:
     """A camera rig: its devices, its scans, and an emulator of both."""
 
 
-@rig.command()
+@rig.command(short_help="Start a rig in FOLDER, with commented files.")
 @click.argument("folder", type=FOLDER)
 @click.option("--fibres", type=int, default=150, show_default=True, help="Number of fibres of the hemisphere.")
 @exit_on_error

@@ -21,6 +21,7 @@ from brdfpipe.jobs.fingerprint import fingerprint
 from brdfpipe.jobs.index import shared_index
 from brdfpipe.jobs.interrupts import Interrupts, interruptible
 from brdfpipe.jobs.lock import BuildError, locked
+from brdfpipe.jobs.scene_notices import scene_notices
 from brdfpipe.jobs.snakemake_run import LOG, SnakemakeRun
 from brdfpipe.jobs.summary import Summary
 from brdfpipe.scenes.scene import is_file
@@ -93,6 +94,7 @@ def build(
         verdicts = summary.read_verdicts(tables, built_materials)
     pages = {name: folders[name] / "report.html" for name in verdicts}
     notices = summary.notices(catalogue.folder, deleted, replaced, stale)
+    of_scenes = scene_notices(catalogue.scenes, catalogue.config)
     over = () if dry_run else budgets.exceeded(results, catalogue, built_materials)
     reasons = {name: f"{entry['stage']}: {entry['message']}" for name, entry in failed_materials.items()}
     page = results / catalogue.scene.folder / "index.html"
@@ -110,7 +112,7 @@ def build(
         verdicts={name: verdict for name, (verdict, _) in verdicts.items()},
         fail_reasons={name: reasons for name, (verdict, reasons) in verdicts.items() if verdict == "fail"},
         pages={name: page for name, page in pages.items() if page.exists()},
-        notices=(*over, *notices),
+        notices=(*of_scenes, *over, *notices),
     )
 
 
