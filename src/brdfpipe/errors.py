@@ -23,6 +23,14 @@ def printable(text: str) -> str:
     return _MISLEADING.sub(lambda found: found[0].encode("unicode_escape").decode("ascii"), decodable)
 
 
+def shortened(text: str, most: int) -> str:
+    """Text of at most so many characters, with "…" in place of the words that exceed them."""
+    if len(text) <= most:
+        return text
+    kept = text[: most - 1]
+    return (kept.rpartition(" ")[0] or kept) + "…"
+
+
 def abbreviated(items: Sequence[str], most: int, separator: str = ", ") -> str:
     """A list for a message, with "…" in place of what exceeds ``most`` items."""
     return separator.join([*items[:most], *(["…"] if len(items) > most else [])])

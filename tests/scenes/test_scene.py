@@ -133,6 +133,7 @@ def test_an_edited_file_is_read_again(tmp_path: Path) -> None:
     ("given", "words"),
     [
         ("gloss-shet", "no scene 'gloss-shet'; did you mean 'gloss-sheet'?"),
+        (f"two words {'x' * 60}", "no scene 'two words…'"),
         ("absent.yaml", "no such file"),
         ("deeper/absent", "no such file"),
     ],

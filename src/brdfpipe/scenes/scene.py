@@ -14,7 +14,7 @@ from typing import Any
 from brdfpipe import documents, installation
 from brdfpipe.descriptions import reading
 from brdfpipe.descriptions.keys import NAME, NAME_WORDS
-from brdfpipe.errors import BrdfpipeError
+from brdfpipe.errors import BrdfpipeError, shortened
 from brdfpipe.scenes.domain import Domain
 from brdfpipe.scenes.results import PARTS
 from brdfpipe.scenes.scene_keys import AS_MATERIAL, CHEAPEST, METRIC_UNITS, METRICS_OF_DOMAINS, SceneKeys
@@ -160,12 +160,14 @@ def load_scene(value: str | Path, folder: Path | None = None) -> Scene:
         if str(value) not in shipped:
             accepted = f"{', '.join(shipped)}; or the path of a file, as scenes/mine.yaml"
             raise SceneError(
-                f"no scene {str(value)[:64]!r}{documents.nearest(str(value), shipped)}; accepted: {accepted}"
+                f"no scene {shortened(str(value), 64)!r}{documents.nearest(str(value), shipped)}; accepted: {accepted}"
             )
         return read_scene(shipped[str(value)])
     path = (folder or Path()) / value
     if not path.is_file():
-        raise SceneError(f"scene {str(value)[:200]!r}: no such file; accepted: {', '.join(shipped)}; or a file")
+        raise SceneError(
+            f"scene {shortened(str(value), 200)!r}: no such file; accepted: {', '.join(shipped)}; or a file"
+        )
     scene = read_scene(path)
     if (namesake := _shipped_namesake(scene)) is not None and scene.digest != read_scene(shipped[namesake]).digest:
         raise SceneError(

@@ -31,7 +31,7 @@ def test_the_head_of_a_page_says_in_words_what_the_chosen_model_leaves_out():
         choice_words({"plan": plan_dataset(judged, chosen(judged, tolerance), ORIGIN, **scene, tolerance=tolerance)})
         for tolerance in (1.0, 0.01)
     )
-    assert "the model leaves out diffraction, and the coherent light of smooth surfaces" in cheaper
+    assert "the model leaves out: diffraction, and the coherent light of smooth surfaces" in cheaper
     assert "expected to be 0.3 GU" in cheaper
     assert cheaper.endswith("the scene accepts 1 GU")
     assert fullest == ""

@@ -47,7 +47,7 @@ def choice_words(datasets: Mapping[str, xr.Dataset]) -> str:
     expected, bound = (float(plan[name].values[at]) for name in ("expected_error", "error_bound"))
     unit = plan.attrs["unit"]
     return (
-        f"For the scene {plan.attrs['scene']}, the model leaves out {'; and '.join(left_out)}. The error by this is expected to be {expected:.2g} "
+        f"For the scene {plan.attrs['scene']}, the model leaves out: {'; '.join(left_out)}. The error by this is expected to be {expected:.2g} "
         f"{unit}, and with the margin for a single material {bound:.2g} {unit}; the scene accepts {float(plan.attrs['tolerance']):g} {unit}"
     )
 
