@@ -374,7 +374,8 @@ def source_of_bsdf(subject: Subject) -> str:
     return next(name for name in ("reference", "wave", "sheet", "predicted") if STAGES[name].jobs(subject))
 
 
-_EVERYWHERE = Domain({"hemisphere": {"theta_i": [0, 90], "phi_i": [0, 360]}})
+EVERYWHERE = Domain({"hemisphere": {"theta_i": [0, 90], "phi_i": [0, 360]}})
+"""All directions of reflection."""
 
 
 def geometries_in(domain: Domain, config: Mapping[str, Any]) -> dict[str, list[Any]]:
@@ -393,7 +394,7 @@ def geometries_in(domain: Domain, config: Mapping[str, Any]) -> dict[str, list[A
 
 def _appearance_parts(subject: Subject) -> dict[str, list[Any]]:
     """The parts of the appearance that the scene asks for → their geometries in its domain; gloss and haze without any are left out."""
-    found = geometries_in(_EVERYWHERE if subject.scene is None else subject.scene.domain, subject.config)
+    found = geometries_in(EVERYWHERE if subject.scene is None else subject.scene.domain, subject.config)
     wanted = PARTS if subject.scene is None else subject.scene.parts
     return {part: found.get(part, []) for part in wanted if part not in ("gloss", "haze") or found[part]}
 
@@ -416,7 +417,7 @@ def _appearance(subject: Subject) -> dict[str, Any]:
     if "colour" in parts:
         settings |= {"illuminant": config["illuminant"], "observer": config["observer"]}
         own = {"geometries": parts["colour"], "standard_geometries": False}
-        every = parts["colour"] == geometries_in(_EVERYWHERE, config)["colour"]
+        every = parts["colour"] == geometries_in(EVERYWHERE, config)["colour"]
         settings |= {"geometries": config["appearance"]["geometries"]} if every else own
     return settings
 

@@ -31,6 +31,10 @@ def test_results_without_a_geometry_in_the_domain_are_named() -> None:
     assert gloss.startswith("scene mine: `gloss` has no result")
     assert haze.startswith("scene mine: `haze` has no result")
     assert notices(domain=AT_45, results=["colour", "preview"]) == []
+    config = load_config()
+    without_haze = config | {"appearance": config["appearance"] | {"haze": []}}
+    mine = Scene("mine", MINE | {"domain": AT_45, "results": ["haze"]})
+    assert list(scene_notices([mine], without_haze)) == [], "the configuration asks for none"
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ from typing import Any
 
 from brdfpipe.scenes.scene import Scene, shipped_scenes
 from brdfpipe.scenes.scene_keys import CHEAPEST, METRIC_UNITS, METRICS_OF_DOMAINS
-from brdfpipe.stages import geometries_in
+from brdfpipe.stages import EVERYWHERE, geometries_in
 
 _WITHOUT_GEOMETRIES = {
     "gloss": "`gloss` has no result: no gloss angle of the configuration has its mirror direction in the domain",
@@ -24,9 +24,10 @@ def scene_notices(scenes: Iterable[Scene], config: Mapping[str, Any]) -> Iterato
     scenes : shipped ones have no notices of their tolerance
     config : the configuration, with the angles and geometries of instruments
     """
+    known = geometries_in(EVERYWHERE, config)
     for scene in scenes:
         for part, found in geometries_in(scene.domain, config).items():
-            if scene.asks(part) and not found:
+            if scene.asks(part) and known[part] and not found:
                 yield f"scene {scene.name}: {_WITHOUT_GEOMETRIES[part]}; add directions to `domain`, or leave the result out"
         if scene.name not in shipped_scenes() and (reason := _why_not_checked(scene)):
             content = scene.content
