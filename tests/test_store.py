@@ -187,11 +187,12 @@ def test_a_damaged_file_is_not_read_from_what_is_shared(tmp_path):
         store.shared_dataset(path)
 
 
-def test_shared_datasets_are_limited(tmp_path, monkeypatch):
+@pytest.mark.parametrize("limit", ["_MOST_SHARED", "_MOST_SHARED_BYTES"])
+def test_shared_datasets_are_limited(tmp_path, monkeypatch, limit):
     paths = [tmp_path / "a.nc", tmp_path / "b.nc"]
     for path in paths:
         save(samples.spectrum(), path)
-    monkeypatch.setattr(store, "_MOST_SHARED", 1)
+    monkeypatch.setattr(store, limit, 1)
     first = store.shared_dataset(paths[0])
     assert store.shared_dataset(paths[0]) is first
     store.shared_dataset(paths[1])

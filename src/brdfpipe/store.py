@@ -32,8 +32,9 @@ SOFTWARE = ("brdfpipe", "netCDF4", "numpy", "scipy", "xarray")
 _NOT_IN_DIGEST = ("digest", "software")
 
 
-_MOST_SHARED = 64 * 2**20
-"""Datasets that :func:`shared_dataset` keeps, together [bytes]."""
+_MOST_SHARED, _MOST_SHARED_BYTES = 4, 64 * 2**20
+"""Number and size of the datasets that :func:`shared_dataset` keeps. What is prepared from a BSDF may be larger than itself: 30 MB for a measured
+surface."""
 
 _shared: OrderedDict[tuple[int, ...], xr.Dataset] = OrderedDict()
 """By what identifies the content of a file, the least recently used first."""
@@ -91,12 +92,16 @@ def shared_dataset(path: str | os.PathLike[str], kind: str | None = None) -> xr.
         _shared[key] = open_dataset(path)
     _shared.move_to_end(key)
     dataset = _shared[key]
-    while len(_shared) > 1 and sum(each.nbytes for each in _shared.values()) > _MOST_SHARED:
+    while len(_shared) > _MOST_SHARED or (len(_shared) > 1 and _shared_bytes() > _MOST_SHARED_BYTES):
         _shared.popitem(last=False)
     _check_owner(dataset, Path(path))
     return (
         dataset if kind is None or kind == dataset.attrs.get("kind") else vocabulary.validate(dataset, kind, str(path))
     )
+
+
+def _shared_bytes() -> int:
+    return sum(dataset.nbytes for dataset in _shared.values())
 
 
 @contextmanager
