@@ -13,6 +13,7 @@ from brdfpipe.bsdf.input_uncertainty import uncertainty
 from brdfpipe.bsdf.lambert_gauss import lambertian
 from brdfpipe.bsdf.nonspectral import nonspectral
 from brdfpipe.bsdf.registry import representation
+from brdfpipe.bsdf.representations import wave as representations_wave
 from brdfpipe.bsdf.source_changes import SourceChanges
 from brdfpipe.errors import VocabularyError
 from brdfpipe.facets.radial_density import RadialDensity
@@ -307,7 +308,7 @@ def test_roughness_that_may_hide_in_a_plateau_counts_as_an_uncertainty_of_the_lo
     np.testing.assert_array_equal(changes["finer_roughness_loss"], changes["relative_error"])
 
 
-def test_changes_that_are_evaluated_together_are_those_of_bsdfs_made_anew(polished):
+def test_changes_that_are_evaluated_together_are_those_of_bsdfs_made_anew(polished, monkeypatch):
     psd, counted, _ = polished
     given = spectrum(0.3)
     with coarse_albedo_tables():
@@ -331,3 +332,7 @@ def test_changes_that_are_evaluated_together_are_those_of_bsdfs_made_anew(polish
         differences = each.of_brdf(*at)
         np.testing.assert_allclose(each.variance(*at), np.square(differences).sum(axis=0), rtol=1e-9)
     assert SourceChanges.of(changes) is SourceChanges.of(changes)
+    nothing = [np.empty(0)] * 4
+    assert SourceChanges.of(changes).of_brdf(*nothing, None).shape[1:] == (0, given.sizes["wavelength"])
+    monkeypatch.setattr(representations_wave, "_VALUES_TOGETHER", 1000)
+    np.testing.assert_allclose(SourceChanges.of(nonspectral(changes)).of_brdf(*at), differences, rtol=1e-9, atol=1e-15)

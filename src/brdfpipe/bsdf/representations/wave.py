@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
-from functools import cached_property
+from collections.abc import Collection, Iterator, Sequence
+from functools import cached_property, partial
 from typing import NamedTuple, Self
 
 import numpy as np
@@ -15,7 +15,7 @@ from brdfpipe.bsdf.coupled_base import CoupledBase, ellipse_of
 from brdfpipe.bsdf.microfacet.energy import AlbedoTable
 from brdfpipe.bsdf.microfacet.microsurface import NOT_PHYSICAL, Microsurface
 from brdfpipe.bsdf.representations.microfacet import Microfacet
-from brdfpipe.bsdf.spectral import at_wavelengths, per_wavelength, spectral_values
+from brdfpipe.bsdf.spectral import at_wavelengths, only_once, per_wavelength, spectral_values
 from brdfpipe.bsdf.wave.two_scale import Angles, RoughSurface
 from brdfpipe.facets.planar_density import Ellipse
 from brdfpipe.geometry import Array, as_numbers
@@ -24,6 +24,9 @@ from brdfpipe.optics.fresnel_equations import fresnel, reflectance_of
 _MIXTURE_NODES = 8
 """Wavelengths that stand for a spectral mean: exact for a polynomial of degree 15 in the wavelength."""
 
+
+_VALUES_TOGETHER = 2**21
+"""Values of several BSDFs that are computed together."""
 
 _MIXED_OR_NOT = (("wavelength",), ("mixed",))
 _BY_INCIDENCE = (("theta_i", "wavelength"), ("theta_i",))
@@ -53,6 +56,12 @@ class _Spectral(NamedTuple):
 
 CHANGES_OF_SURFACE = frozenset({"slope_density", "lambda_smith", "sigma", "log_halo", "halo_closure", "coherent_loss"})
 """Variables of the light that the surface scatters, which do not enter the base and the balance of energy."""
+
+
+def _split(angles: Angles, parts: int) -> Iterator[Angles]:
+    """Directions in parts of equal size."""
+    one, two, three, four = (np.array_split(angle, parts) for angle in angles)
+    return zip(one, two, three, four, strict=True)
 
 
 def _same(one: xr.Variable, other: xr.Variable) -> bool:
@@ -149,21 +158,31 @@ class Wave(Representation):
         """See the base class; surfaces of one body and bases of one surface share what is the same."""
         at, shape, angles = self._prepared(theta_i, phi_i, theta_o, phi_o, wavelength)
         family = [self, *(one for one in others if isinstance(one, Wave) and self._has_body_of(one))]
+        # All values of all BSDFs may not fit into the memory; equal parts are computed in the same way.
+        parts = -(-angles[0].size * at.wavelength.size * len(family) // _VALUES_TOGETHER)
+        blocks = [self._of_family(family, at, block, wavelength) for block in _split(angles, max(parts, 1))]
+        found = {
+            id(one): brdf for one, brdf in zip(family, map(np.concatenate, zip(*blocks, strict=True)), strict=True)
+        }
+        return [
+            found[id(one)].reshape(*shape, found[id(one)].shape[-1])
+            if id(one) in found
+            else one.evaluate(theta_i, phi_i, theta_o, phi_o, wavelength)
+            for one in (self, *others)
+        ]
+
+    @staticmethod
+    def _of_family(family: Sequence[Wave], at: _Spectral, angles: Angles, wavelength: Array | None) -> list[Array]:
+        """Values of BSDFs of one body, (directions, wavelength) each."""
         surfaces = list({id(one._surface): one._surface for one in family}.values())
-        of_surfaces = dict(
-            zip(map(id, surfaces), RoughSurface.evaluate_each(surfaces, angles, at.wavelength, at.n, at.k), strict=True)
-        )
-        bases: dict[int, Array] = {}
+        each = RoughSurface.evaluate_each(surfaces, angles, at.wavelength, at.n, at.k)
+        of_surfaces = {id(surface): at.mixed(brdf) for surface, brdf in zip(surfaces, each, strict=True)}
+        once = only_once()
         values = []
-        for one in (self, *others):
-            if not (isinstance(one, Wave) and one in family):
-                values.append(one.evaluate(theta_i, phi_i, theta_o, phi_o, wavelength))
-                continue
+        for one in family:
             fields = one._spectral(wavelength)
-            if id(fields) not in bases:
-                bases[id(fields)] = self._base(fields, angles)
-            brdf = at.mixed(of_surfaces[id(one._surface)]) + bases[id(fields)]
-            values.append(brdf.reshape(*shape, brdf.shape[-1]))
+            base = once((id(fields),), partial(one._base, fields, angles))
+            values.append(of_surfaces[id(one._surface)] + base)
         return values
 
     def _has_body_of(self, other: Wave) -> bool:
