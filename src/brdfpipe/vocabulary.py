@@ -370,6 +370,7 @@ QUANTITIES: Mapping[str, Quantity] = {
     "energy_residual": Quantity("1", "share of the light that coherent part and halo miss of Fresnel's reflectance", 0),
     # Uncertain inputs of a prediction
     "change_theta": Quantity("degree", "incidence at which the change of an albedo is known", 0, 90),
+    "change_phase": Quantity("1", "phase variance at which the change of a halo is known", 0),
     "error_theta": Quantity(
         "degree",
         "incidence at which the relative error of a model is known; beyond 90 on the back side of a sheet",

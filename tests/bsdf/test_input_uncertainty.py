@@ -9,6 +9,7 @@ from samples import beckmann, beckmann_bsdf, coarse_albedo_tables, spectrum, sur
 from brdfpipe import facets, hemisphere, optics, vocabulary
 from brdfpipe import psd as roughness
 from brdfpipe.bsdf import microfacet, wave
+from brdfpipe.bsdf.change_variables import between_phases
 from brdfpipe.bsdf.input_uncertainty import uncertainty
 from brdfpipe.bsdf.lambert_gauss import lambertian
 from brdfpipe.bsdf.nonspectral import nonspectral
@@ -290,6 +291,13 @@ def test_a_roughness_spectrum_changes_coherent_light_and_halo_as_if_it_was_built
         )
         > 0.02
     )
+
+
+def test_changes_of_a_halo_are_linear_in_the_logarithm_of_the_phase_variance_and_exact_at_their_nodes():
+    nodes, at = np.geomspace(0.1, 100.0, 7), np.geomspace(0.1, 100.0, 40)
+    changes = np.random.default_rng(1).normal(size=(7, 3))
+    between = [np.interp(np.log(at), np.log(nodes), column) for column in changes.T]
+    np.testing.assert_allclose(between_phases(nodes, changes, at), np.stack(between, axis=1), rtol=0, atol=1e-14)
 
 
 def test_roughness_that_may_hide_in_a_plateau_counts_as_an_uncertainty_of_the_lobe():

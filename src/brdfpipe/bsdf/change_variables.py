@@ -21,6 +21,14 @@ NOT_STATED = "uncertainty_not_stated"
 """Attribute: sources without a stated uncertainty, separated by commas."""
 
 
+def between_phases(nodes: Array, changes: Array, phase_variance: Array) -> Array:
+    """Changes of a halo (nodes, frequency) at other phase variances (phase variance, frequency), linear in the logarithm."""
+    log_nodes, log_phase = np.log(nodes), np.log(phase_variance)
+    node = np.clip(np.searchsorted(log_nodes, log_phase, side="right") - 1, 0, nodes.size - 2)
+    slope = np.diff(changes, axis=0) / np.diff(log_nodes)[:, None]
+    return np.asarray(slope[node] * (log_phase - log_nodes[node])[:, None] + changes[node])
+
+
 def between_incidences(nodes: Array, changes: Array, theta: Array) -> Array:
     """Changes of an albedo (nodes, …) at other incidences, (theta, …)."""
     return np.asarray(CubicSpline(nodes, changes)(theta))

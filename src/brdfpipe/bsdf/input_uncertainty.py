@@ -250,7 +250,7 @@ def stacked(changes: list[Change]) -> xr.Dataset:
         like = next(change.fields[name] for change in changes if name in change.fields)
         parts = [change.fields.get(name, xr.zeros_like(like)) for change in changes]
         values = np.stack([part.transpose(*like.dims).values for part in parts])
-        coordinates = {dim: like[dim] for dim in like.dims if dim in ("change_theta",)}
+        coordinates = {dim: like[dim] for dim in like.dims if dim in ("change_theta", "change_phase")}
         result[f"{name}_change"] = xr.DataArray(values, coordinates, (DIMENSION, *like.dims))
     return result.assign_coords({SOURCE: (DIMENSION, [change.source for change in changes])})
 
@@ -322,7 +322,7 @@ def _planar_masking(bsdf: xr.Dataset) -> Callable[[Array], Array]:
 
 
 def changes_of_roughness(bsdf: xr.Dataset, psd: xr.Dataset) -> Iterator[tuple[str, Fields]]:
-    """Source, and change of the rms height, the halo and the coherent part: for each band of a measured spectrum and longer waves, as each noise
+    """Source, and change of the rms height, the halo (over ``change_phase``) and the coherent part: for each band of a measured spectrum and longer waves, as each noise
     in it grows, and of the heights that the coherent light knows.
 
     Rings of a spectrum are independent but for its noise, so the variance of a band is the sum of theirs; a band changes as a whole. Where the
@@ -366,8 +366,9 @@ def changes_of_roughness(bsdf: xr.Dataset, psd: xr.Dataset) -> Iterator[tuple[st
             fields |= _halo_kept(bsdf, growth) if of_heights else _coherent_change(bsdf, growth)
         if isotropic:
             difference = log_transform(changed, phase[rows], nodes) - before
-            columns = [np.interp(np.log(phase), np.log(phase[rows]), column) for column in difference.T]
-            fields["log_halo"] = xr.DataArray(np.stack(columns, axis=1), dims=("phase_variance", "halo_frequency"))
+            fields["log_halo"] = xr.DataArray(
+                difference, {"change_phase": phase[rows]}, ("change_phase", "halo_frequency")
+            )
         yield source, fields
     if "coherent_loss" in bsdf and "coherent_sigma_u" in psd:
         cosine, wavelength = _closure_nodes(bsdf)

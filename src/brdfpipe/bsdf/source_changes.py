@@ -23,7 +23,7 @@ import xarray as xr
 
 from brdfpipe import vocabulary
 from brdfpipe.bsdf.base import Representation
-from brdfpipe.bsdf.change_variables import DIMENSION, MODEL, SOURCE, between_incidences
+from brdfpipe.bsdf.change_variables import DIMENSION, MODEL, SOURCE, between_incidences, between_phases
 from brdfpipe.bsdf.registry import representation
 from brdfpipe.bsdf.spectral import at_wavelengths
 from brdfpipe.geometry import Array
@@ -184,7 +184,7 @@ def averaged(reduced: xr.Dataset, bsdf: xr.Dataset, weight: Array) -> xr.Dataset
     kept = {name: bsdf[name].variable for name in (SOURCE, *_OF_MODEL) if name in bsdf.variables}
     coordinates = {
         name: bsdf[name].variable
-        for name in ("change_theta", "shift_low", "error_theta", "error_gloss_angle", "region")
+        for name in ("change_theta", "change_phase", "shift_low", "error_theta", "error_gloss_angle", "region")
         if name in bsdf.coords
     }
     return vocabulary.label(reduced.assign(fields | kept).assign_coords(coordinates), "bsdf")
@@ -222,6 +222,9 @@ def _after(bsdf: xr.Dataset, name: str, row: int) -> xr.Variable | None:
         change = change.transpose("change_theta", ...)
         values = between_incidences(bsdf["change_theta"].values, change.values, bsdf["theta_i"].values)
         change = xr.Variable(("theta_i", *change.dims[1:]), values)
+    if "change_phase" in change.dims:
+        values = between_phases(bsdf["change_phase"].values, change.values, bsdf["phase_variance"].values)
+        change = xr.Variable(given.dims, values)
     quantity = vocabulary.quantity(name)
     assert quantity is not None
     values = (given + change).transpose(*given.dims).values

@@ -17,7 +17,7 @@ import numpy as np
 import xarray as xr
 
 from brdfpipe import vocabulary
-from brdfpipe.bsdf.change_variables import MODEL, MODEL_INCIDENCES, NOT_STATED, between_incidences
+from brdfpipe.bsdf.change_variables import MODEL, MODEL_INCIDENCES, NOT_STATED, between_incidences, between_phases
 from brdfpipe.bsdf.input_uncertainty import (
     MIDDLE_WAVELENGTH,
     Change,
@@ -397,8 +397,18 @@ def _has_facets(surface: Surface, bsdf: xr.Dataset) -> bool:
 
 
 def _changed(dataset: xr.Dataset, fields: Fields) -> xr.Dataset:
-    changed = {name: dataset[name].copy(data=dataset[name].values + change.values) for name, change in fields.items()}
+    changed = {
+        name: dataset[name].copy(data=dataset[name].values + _values(dataset, change))
+        for name, change in fields.items()
+    }
     return dataset.assign(changed)
+
+
+def _values(dataset: xr.Dataset, change: xr.DataArray) -> Array:
+    """A change of a variable of a dataset; of a halo it is known at some phase variances."""
+    if "change_phase" not in change.dims:
+        return np.asarray(change.values)
+    return between_phases(change["change_phase"].values, change.values, dataset["phase_variance"].values)
 
 
 def _outer_facets(outside: xr.Dataset, fields: Fields) -> xr.Dataset:
