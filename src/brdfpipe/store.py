@@ -20,8 +20,10 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+import netCDF4
 import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
 
 from brdfpipe import vocabulary
 from brdfpipe.errors import BrdfpipeError, InputError
@@ -62,8 +64,7 @@ def open_dataset(path: str | os.PathLike[str], kind: str | None = None) -> xr.Da
     """
     path = Path(path)
     try:
-        with xr.open_dataset(path, engine="netcdf4") as stored:
-            dataset = stored.load()
+        dataset = _read(path)
     except FileNotFoundError as error:
         raise StoreError(f"{path}: no such dataset; run `brdfpipe build` to build it") from error
     except Exception as error:  # netCDF4 raises OSError, RuntimeError, ValueError and more on damaged files
@@ -102,6 +103,21 @@ def shared_dataset(path: str | os.PathLike[str], kind: str | None = None) -> xr.
 
 def _shared_bytes() -> int:
     return sum(dataset.nbytes for dataset in _shared.values())
+
+
+def _read(path: Path) -> xr.Dataset:
+    """All variables of a netCDF file, without the indexing layers of a lazy dataset, which take as long as the reading."""
+    with netCDF4.Dataset(path) as file:
+        file.set_auto_maskandscale(False)
+        variables = {
+            name: xr.Variable(variable.dimensions, _values(variable), variable.__dict__)
+            for name, variable in file.variables.items()
+        }
+        return xr.decode_cf(xr.Dataset(variables, attrs=file.__dict__))
+
+
+def _values(variable: netCDF4.Variable[Any]) -> NDArray[Any]:
+    return np.asarray(variable[...], dtype=str if variable.dtype is str else None)
 
 
 @contextmanager
