@@ -13,7 +13,7 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 import xarray as xr
 
-from brdfpipe.bsdf.microfacet.energy import AlbedoTable
+from brdfpipe.bsdf.microfacet.albedo_table import AlbedoTable
 from brdfpipe.bsdf.spectral import spectral_values
 from brdfpipe.facets.planar_density import Ellipse
 from brdfpipe.geometry import Array, as_numbers

@@ -9,8 +9,8 @@ import xarray as xr
 
 from brdfpipe import hemisphere
 from brdfpipe.bsdf.coupled_base import OfDirections
+from brdfpipe.bsdf.microfacet.albedo_table import AlbedoTable
 from brdfpipe.bsdf.microfacet.builder import with_clamping_warning, with_diffuse_reflectance
-from brdfpipe.bsdf.microfacet.energy import AlbedoTable
 from brdfpipe.bsdf.microfacet.gloss_trap import trap_of
 from brdfpipe.geometry import Array
 

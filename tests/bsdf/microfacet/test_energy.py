@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from brdfpipe import facets, hemisphere, vocabulary
 from brdfpipe.bsdf import microfacet
 from brdfpipe.bsdf.microfacet import energy
+from brdfpipe.bsdf.microfacet.albedo_table import AlbedoTable
 from brdfpipe.bsdf.microfacet.microsurface import Microsurface
 from brdfpipe.bsdf.registry import representation
 from brdfpipe.geometry import Array
@@ -181,9 +182,29 @@ def test_compensation_adds_to_the_plain_model_and_nothing_to_a_smooth_one():
         assert float(more) >= float(plain) - 1e-12
 
 
+@pytest.mark.parametrize("masking", ["height-correlated", "separable", "measured"])
+@pytest.mark.parametrize(
+    ("n", "k"), [(np.array([1.5]), np.zeros(1)), (np.linspace(1.45, 1.55, 20), np.zeros(20)), (np.array([0.4]), ONE)]
+)
+def test_compiled_code_gives_the_albedo_of_numpy(masking, n, k, monkeypatch):
+    surface = gaussian(0.3)
+    random = np.random.default_rng(2)
+    ratio = VisibilityRatio(
+        np.log(random.uniform(0.7, 1.4, (9, 8, 7))), (0.96, 2.0), np.array([0.0, 0.5, 1.0]), random.random(3)
+    )
+    surface = replace(surface, ratio=ratio)
+    theta = np.concatenate([np.linspace(0.0, 89.0, 15), [89.99, 90.0]])
+    found = []
+    for many in (1, 10**9):
+        monkeypatch.setattr(energy, "_MANY_FACETS", many)
+        found.append(energy.directional_albedo(surface, masking, n, k, theta, mirrors=True))
+    assert found[0].shape == (theta.size, n.size + 1)
+    np.testing.assert_allclose(*found, rtol=1e-12, atol=1e-15)
+
+
 def test_the_mean_albedo_is_twice_the_integral_over_the_cosine():
     theta = np.linspace(0, 90, 91)
-    table = energy.AlbedoTable(theta, np.cos(np.radians(theta))[:, None])
+    table = AlbedoTable(theta, np.cos(np.radians(theta))[:, None])
     assert table.mean()[0] == pytest.approx(2 / 3, abs=1e-7)
 
 
@@ -191,9 +212,9 @@ def test_a_table_with_a_part_that_is_not_smooth_is_the_spline_of_the_rest_and_th
     second = samples.random_second_reflection(wavelengths=2)
     theta = np.linspace(0, 90, 40)
     smooth = np.cos(np.radians(theta))[:, None] * [0.4, 0.5]
-    with_second = energy.AlbedoTable(theta, smooth + second.albedo(theta), second=lambda: second.albedo_pieces)
+    with_second = AlbedoTable(theta, smooth + second.albedo(theta), second=lambda: second.albedo_pieces)
     between = np.append(np.random.default_rng(0).uniform(0, 90, 200), [0, second.theta[3], theta[7], 90])
-    expected = energy.AlbedoTable(theta, smooth)(between) + second.albedo(between)
+    expected = AlbedoTable(theta, smooth)(between) + second.albedo(between)
     np.testing.assert_allclose(with_second(between), expected, rtol=1e-12, atol=1e-15)
 
 

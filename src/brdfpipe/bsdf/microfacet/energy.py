@@ -7,23 +7,20 @@ of the lobe.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import replace
 
 import numpy as np
-from scipy.interpolate import CubicSpline, PPoly, RectBivariateSpline
 
 from brdfpipe.bsdf.microfacet import anisotropic_quadrature as quadrature
+from brdfpipe.bsdf.microfacet.albedo_table import AlbedoTable, even_spline, lay_scale
 from brdfpipe.bsdf.microfacet.microsurface import Microsurface
-from brdfpipe.content_cache import cached_by_content
 from brdfpipe.facets.planar_density import Ellipse, PlanarDensity
 from brdfpipe.facets.radial_density import PANELS, RadialDensity
 from brdfpipe.geometry import Array, HalfVector
 from brdfpipe.hemisphere import panel_rule
+from brdfpipe.masking.modes import PHYSICAL_MASKINGS
 from brdfpipe.optics.fresnel_equations import fresnel
-from brdfpipe.piecewise import PiecewiseCubic
 
 _AZIMUTHS = 12  # nodes of the quadrature over the azimuths of a panel
 _CROWDED_AZIMUTHS = 6  # the same of the narrow panels about the critical angle
@@ -33,11 +30,11 @@ _LEAST_COSINE = 1e-150  # avoids division by 0 at the horizon
 _INTERPOLATION_ERROR = 2e-9  # of the albedo between the nodes of its table
 _TRACED_ERROR = 1e-6  # the same with traced visibility, whose table has kinks that the quadrature resolves no better
 _NOISE = 1e-9  # of the quadrature, by which the table is raised in any case
+_MANY_FACETS = 2**16  # of all incidences together, for which compiled code is loaded
+_CLOSEST_TO_METAL = 1e70  # index up to which that code computes the reflectance
 _MOST_NODES = 400  # of an isotropic table
 _LAY_STEP = 0.2  # between nodes θ of a table with a lay, in scaled angles from grazing
 _LAY_AZIMUTH = 18.0  # between its azimuths, in arc length of the ellipse [degree]
-_LAY_FINENESS = 8.0  # smaller rms slope, as an angle, over the angle on which the albedo varies near grazing
-_LAY_MOST_GRAZING = 2.0  # upper limit of that angle [degree]
 
 
 def directional_albedo(
@@ -74,6 +71,9 @@ def directional_albedo(
             albedos.append(mirror_albedo(surface, masking, theta_i, phi_i)[:, None])
         return np.concatenate(albedos, axis=1)
     critical = float(np.arcsin(n[0])) if n.size and n[0] < 1 and k[0] == 0 else None
+    if critical is None and _is_worth_compiling(surface, masking, n, theta_i.size, panels):
+        light = _compiled_albedo(surface, masking, n, k, np.radians(theta_i), panels)
+        return light if mirrors else light[:, :-1]
     blocks = []
     step = 64 if surface.isotropic and critical is None else 8
     azimuth = np.broadcast_to(np.asarray(phi_i, dtype=float), theta_i.shape)
@@ -83,7 +83,7 @@ def directional_albedo(
             weight, cos_zeta = _isotropic_facets(surface, masking, np.radians(theta_i[part]), critical, panels)
         else:
             weight, cos_zeta = _facets_with_lay(surface, masking, theta_i[part], azimuth[part], critical)
-        block = _spectral_sum(weight, cos_zeta, n, k) if n.size else np.zeros((weight.shape[0], 0))
+        block = _of_facets(weight, cos_zeta, n, k) if n.size else np.zeros((weight.shape[0], 0))
         blocks.append(np.concatenate([block, weight.sum(axis=-1, keepdims=True)], axis=1) if mirrors else block)
     return np.concatenate(blocks) if blocks else np.zeros((0, n.size + mirrors))
 
@@ -91,6 +91,32 @@ def directional_albedo(
 def mirror_albedo(surface: Microsurface, masking: str, theta_i: Array, phi_i: Array | float = 0.0) -> Array:
     """Directional albedo of the same facets as perfect mirrors, (incidences,)."""
     return directional_albedo(surface, masking, np.zeros(0), np.zeros(0), theta_i, phi_i, mirrors=True)[:, 0]
+
+
+def _is_worth_compiling(surface: Microsurface, masking: str, n: Array, incidences: int, panels: int) -> bool:
+    """Whether compiled code covers an integral over facets, and takes less time for it even if it is to be loaded."""
+    facets = 4 * (panels + _WINDOW_PANELS) * _AZIMUTHS
+    covered = surface.isotropic and masking in PHYSICAL_MASKINGS and bool((n <= _CLOSEST_TO_METAL).all())
+    return covered and incidences * facets >= _MANY_FACETS
+
+
+def _compiled_albedo(surface: Microsurface, masking: str, n: Array, k: Array, theta_i: Array, panels: int) -> Array:
+    """Directional albedo of an isotropic surface, (incidences, wavelength + 1), at θ [rad]; last of perfect mirrors."""
+    from brdfpipe.bsdf.microfacet import evaluation_kernel
+
+    assert isinstance(surface.density, RadialDensity)
+    rule = _slope_rule(surface.density, theta_i, None, panels)
+    azimuths = panel_rule(np.array([0.0, 1.0]), _AZIMUTHS)
+    tables = evaluation_kernel.FacetTables.of(surface, masking)
+    mirrors = np.empty(theta_i.size)
+
+    def reflected(n: Array, k: Array) -> Array:
+        light = evaluation_kernel.sum_over_facets(tables, theta_i, *rule, azimuths, n, k)
+        mirrors[:] = light[:, 0]
+        return light[:, 1:]
+
+    of_material = _spectral_sum(reflected, n, k) if n.size else reflected(n, k)
+    return np.concatenate([of_material, mirrors[:, None]], axis=1)
 
 
 def _isotropic_facets(
@@ -103,7 +129,8 @@ def _isotropic_facets(
     """
     assert isinstance(surface.density, RadialDensity)
     cos_i, sin_i = np.cos(theta_i)[:, None, None], np.sin(theta_i)[:, None, None]
-    s, s_weight, beta, beta_weight = _slope_rule(surface.density, theta_i, critical, panels)
+    s, s_weight, first = _slope_rule(surface.density, theta_i, critical, panels)
+    beta, beta_weight = _azimuth_rule(s, first, theta_i, critical)
     u, p = s[..., None] ** 2, s[..., None] * np.cos(beta)
     facing = np.maximum(cos_i - p * sin_i, 0.0)  # cos ζ √(1 + u)
     cos_o = np.clip(2 * facing / (1 + u) - cos_i, _LEAST_COSINE, 1.0)
@@ -120,8 +147,8 @@ def _isotropic_facets(
 
 def _slope_rule(
     density: RadialDensity, theta_i: Array, critical: float | None, panels: int
-) -> tuple[Array, Array, Array, Array]:
-    """Quadrature over the facets that mirror (θ_i, 0) above the horizon: s and its weight (θ, S), β and its weight (θ, S, B)."""
+) -> tuple[Array, Array, Array]:
+    """Quadrature over the slopes of facets that mirror (θ_i, 0) above the horizon: s, its weight, and the β from which on they do, (θ, S)."""
     # The range of β opens and closes like a square root: panels are dense at both ends.
     tilt = np.pi / 4 - theta_i[:, None] / 2 * np.cos(np.linspace(0, np.pi, _WINDOW_PANELS + 1))
     splits = np.clip(np.tan(tilt), 0.0, density.slope[-1])
@@ -132,12 +159,17 @@ def _slope_rule(
     s, s_weight = panel_rule(np.sort(np.concatenate([edges, splits], axis=1), axis=1), 4)
     with np.errstate(divide="ignore", invalid="ignore"):
         limit = (1 - s**2) / (2 * s * np.tan(theta_i)[:, None])
-    start = np.arccos(np.clip(np.nan_to_num(limit, nan=1.0, posinf=1.0, neginf=-1.0), -1.0, 1.0))
-    edges = np.stack([start, np.full_like(start, np.pi)], axis=-1)
+    first = np.arccos(np.clip(np.nan_to_num(limit, nan=1.0, posinf=1.0, neginf=-1.0), -1.0, 1.0))
+    return s, s_weight, first
+
+
+def _azimuth_rule(slope: Array, first: Array, theta_i: Array, critical: float | None) -> tuple[Array, Array]:
+    """Quadrature over the azimuths of these facets on both sides: β and its weight, (θ, S, B)."""
+    edges = np.stack([first, np.full_like(first, np.pi)], axis=-1)
     if critical is not None:
-        edges = azimuths_of_total_reflection(edges, s, theta_i[:, None], critical)
-    beta, beta_weight = panel_rule(edges, _AZIMUTHS if critical is None else _CROWDED_AZIMUTHS)
-    return s, s_weight, beta, 2 * beta_weight
+        edges = azimuths_of_total_reflection(edges, slope, theta_i[:, None], critical)
+    beta, weight = panel_rule(edges, _AZIMUTHS if critical is None else _CROWDED_AZIMUTHS)
+    return beta, 2 * weight
 
 
 _TOWARDS_KINK = np.concatenate([-(4.0 ** -np.arange(1, 7)), [0.0], 4.0 ** -np.arange(6, 0, -1)])
@@ -184,8 +216,17 @@ def _facets_with_lay(
     return np.where(mirrored_up, weight, 0.0), cos_zeta
 
 
-def _spectral_sum(weight: Array, cos_zeta: Array, n: Array, k: Array) -> Array:
-    """Σ weight · F(cos ζ; λ), (incidences, wavelength).
+def _of_facets(weight: Array, cos_zeta: Array, n: Array, k: Array) -> Array:
+    """Σ weight · F(cos ζ; λ), (incidences, wavelength)."""
+
+    def reflected(n: Array, k: Array) -> Array:
+        return np.stack([(weight * fresnel(cos_zeta, *one).mean).sum(axis=-1) for one in zip(n, k, strict=True)], -1)
+
+    return _spectral_sum(reflected, n, k)
+
+
+def _spectral_sum(reflected: Callable[[Array, Array], Array], n: Array, k: Array) -> Array:
+    """Light that facets reflect, (incidences, wavelength), from what they do of some indices, (index,) n and k → (incidences, index).
 
     F is smooth in n > 1: for k = 0 it is evaluated at a few Chebyshev nodes of n and interpolated, at the same cost for any number of
     wavelengths. The error falls by a factor ρ with every node, ρ = x + √(x² − 1) with x the distance of n = 1 from the middle of the
@@ -197,12 +238,11 @@ def _spectral_sum(weight: Array, cos_zeta: Array, n: Array, k: Array) -> Array:
         unit = np.cos(np.pi * (np.arange(count) + 0.5) / count)
         low, high = pairs[0, 0], pairs[0, -1]
         nodes = low + (high - low) * (unit + 1) / 2
-        at_nodes = np.stack([(weight * fresnel(cos_zeta, node, 0.0).mean).sum(axis=-1) for node in nodes], axis=-1)
+        at_nodes = reflected(nodes, np.zeros(count))
         chebyshev = np.polynomial.chebyshev
         coefficients = np.linalg.solve(chebyshev.chebvander(unit, count - 1), at_nodes.T)
         return np.asarray(chebyshev.chebval(2 * (n - low) / (high - low) - 1, coefficients))
-    values = [(weight * fresnel(cos_zeta, *index).mean).sum(axis=-1) for index in pairs.T]
-    return np.stack(values, axis=-1)[:, where.ravel()]
+    return reflected(*pairs)[:, where.ravel()]
 
 
 def _chebyshev_count(n: Array) -> int:
@@ -215,87 +255,6 @@ def _chebyshev_count(n: Array) -> int:
 
 
 # --- its table
-
-
-@dataclass(frozen=True)
-class AlbedoTable:
-    """The directional albedo as a spline in the angle from grazing."""
-
-    theta: Array
-    """(θ,) increasing, from 0 to 90 degree"""
-    values: Array
-    """(θ, wavelength), or (θ, φ, wavelength) of a surface with a lay"""
-    phi: Array | None = None
-    """(φ,) degree, increasing around the circle; of a surface with a lay"""
-    ellipse: Ellipse | None = None
-    """Principal slopes of a surface with a lay, which scale both angles so that the albedo is smooth"""
-    second: Callable[[], PPoly] | None = None
-    """Gives the part of an isotropic albedo that is not smooth in θ, cubics of 90° − θ, (wavelength,); a spline holds the rest"""
-
-    def __call__(self, theta: Array, phi: Array | float = 0.0) -> Array:
-        """E, (…, wavelength), in [0, 1]."""
-        grazing = 90 - np.asarray(theta, dtype=float)
-        if self.phi is None:
-            # Faster than np.clip where there are few.
-            return np.minimum(np.maximum(self.spline(grazing), 0.0), 1.0)
-        assert self.ellipse is not None
-        at = np.arcsinh(grazing / lay_scale(self.ellipse)), quadrature.azimuth_to_arc(self.ellipse, phi)
-        values = np.stack([spline.ev(*at) for spline in self.surfaces], axis=-1)
-        return np.minimum(np.maximum(values, 0.0), 1.0)
-
-    def mean(self) -> Array:
-        """2 ∫ E μ dμ, averaged over azimuth, (wavelength,): exact for the spline."""
-        theta, weight = panel_rule(np.radians(self.theta), 6)
-        weight = weight * np.sin(2 * theta)
-        if self.phi is None:
-            return np.asarray(weight @ self(np.degrees(theta)))
-        assert self.ellipse is not None
-        phi = quadrature.arc_to_azimuth(self.ellipse, np.linspace(0.0, 360.0, 4 * self.phi.size, endpoint=False))
-        width, _ = self.ellipse.towards(phi)
-        mean = np.einsum("tpl,p->tl", self(np.degrees(theta)[:, None], phi), width / width.sum())
-        return np.asarray(weight @ mean)
-
-    @cached_property
-    def spline(self) -> PiecewiseCubic:
-        grazing, values = 90 - self.theta[::-1], self.values[::-1]
-        if self.second is None:
-            return _even_piecewise(grazing, values)
-        second = self.second()
-        return PiecewiseCubic.of(_sum(_even_spline(grazing, values - second(grazing)), second))
-
-    @cached_property
-    def surfaces(self) -> list[RectBivariateSpline]:
-        assert self.phi is not None
-        assert self.ellipse is not None
-        arc = quadrature.azimuth_to_arc(self.ellipse, self.phi)
-        order = np.argsort(arc)
-        around = np.concatenate([order[-4:], order, order[:4]])
-        grazing = np.arcsinh((90 - self.theta[::-1]) / lay_scale(self.ellipse))
-        values = np.moveaxis(self.values[::-1][:, around], -1, 0)
-        arcs = np.unwrap(arc[around] - 360, period=360)
-        return [RectBivariateSpline(grazing, arcs, by_angles) for by_angles in values]
-
-
-def lay_scale(ellipse: Ellipse) -> float:
-    """Angle from grazing [degree] on which the albedo of a surface with a lay varies."""
-    return min(float(np.degrees(min(ellipse.along, ellipse.across))) / _LAY_FINENESS, _LAY_MOST_GRAZING)
-
-
-@cached_by_content(16)
-def _even_piecewise(grazing: Array, values: Array) -> PiecewiseCubic:
-    return PiecewiseCubic.of(_even_spline(grazing, values))
-
-
-def _even_spline(grazing: Array, values: Array) -> CubicSpline:
-    # E is even in θ: its derivative is 0 at the normal, 90 degree from grazing.
-    return CubicSpline(grazing, values, axis=0, bc_type=("not-a-knot", (1, np.zeros(values.shape[1]))))
-
-
-def _sum(first: PPoly, second: PPoly) -> PPoly:
-    """The sum of two piecewise cubics, exact but for rounding, with the nodes of both."""
-    nodes = np.union1d(first.x, second.x)
-    terms = [(first(nodes[:-1], order) + second(nodes[:-1], order)) / math.factorial(order) for order in (3, 2, 1, 0)]
-    return PPoly(np.stack(terms), nodes)
 
 
 def tabulated(surface: Microsurface, albedo: Callable[[Array, Array], Array], exact: Array) -> AlbedoTable:
@@ -382,7 +341,7 @@ def refined(
     while pending.size:
         middle = (nodes[1:] + nodes[:-1])[pending] / 2
         expected = albedo(middle)
-        miss = np.abs(_even_spline(90 - nodes[::-1], values[::-1])(90 - middle) - expected).max(axis=1)
+        miss = np.abs(even_spline(90 - nodes[::-1], values[::-1])(90 - middle) - expected).max(axis=1)
         accurate = (miss <= accepted) | (nodes.size >= _MOST_NODES)
         final = np.where(accurate, miss, 0.0)
         for neighbour in (pending, pending + 1):

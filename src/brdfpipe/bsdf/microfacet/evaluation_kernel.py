@@ -27,8 +27,8 @@ from numba.extending import intrinsic
 from numpy.typing import NDArray
 from scipy.interpolate import PPoly, RectBivariateSpline
 
+from brdfpipe.bsdf.microfacet.albedo_table import AlbedoTable, lay_scale
 from brdfpipe.bsdf.microfacet.anisotropic_quadrature import axis_ratio
-from brdfpipe.bsdf.microfacet.energy import AlbedoTable, lay_scale
 from brdfpipe.bsdf.microfacet.microsurface import Microsurface
 from brdfpipe.compilation import compiled
 from brdfpipe.facets.radial_density import RadialDensity
@@ -241,6 +241,24 @@ class IsotropicTables(NamedTuple):
     further: FurtherLight
 
 
+class FacetTables(NamedTuple):
+    """Facets of an isotropic surface alone."""
+
+    log_density: Curve
+    excess: Curve
+    separable: bool
+    visibility: VisibilityTables
+
+    @classmethod
+    def of(cls, surface: Microsurface, masking: str) -> FacetTables:
+        """Of an isotropic surface with a physical masking."""
+        assert isinstance(surface.density, RadialDensity)
+        assert isinstance(surface.smith, Smith)
+        facets = Curve.of(surface.density.log_density), Curve.of(surface.smith.spline)
+        ratio = surface.ratio if masking == "measured" else None
+        return cls(*facets, masking == "separable", VisibilityTables.of(ratio, surface.typical_slope))
+
+
 class LayTables(NamedTuple):
     """Facets of a surface with a lay, and its albedo."""
 
@@ -302,11 +320,9 @@ def tables_of(
     furnace = albedo if furnace is None else furnace
     density, smith = surface.density, surface.smith
     if isinstance(density, RadialDensity):
-        assert isinstance(smith, Smith)
-        facets = Curve.of(density.log_density), Curve.of(smith.spline)
+        facets = FacetTables.of(surface, masking)
         albedos = Curve.of(albedo.spline), Curve.of(furnace.spline)
-        visibility = VisibilityTables.of(surface.ratio if masking == "measured" else None, surface.typical_slope)
-        return IsotropicTables(*facets, *albedos, separable, visibility, further)
+        return IsotropicTables(facets.log_density, facets.excess, *albedos, separable, facets.visibility, further)
     assert isinstance(smith, PlanarSmith)
     ellipse = density.ellipse
     ratio, wide = axis_ratio(ellipse)
@@ -575,7 +591,9 @@ def _mirrors(pair: Pair, density: Array, excess_i: Array, excess_o: Array, separ
 
 
 @compiled
-def _isotropic_mirrors(pair: Pair, work: Rows, count: int, tables: IsotropicTables, mirrors: Array) -> None:
+def _isotropic_mirrors(
+    pair: Pair, work: Rows, count: int, tables: IsotropicTables | FacetTables, mirrors: Array
+) -> None:
     logarithm, excess_i, excess_o = work[0], work[1], work[2]
     _values(pair[0], tables.log_density, logarithm)
     for j in range(mirrors.size):
@@ -1207,6 +1225,85 @@ def _evaluate_further_light(
         count = _distinct(polar_i, azimuth_i)
         _half_vectors(polar_i, azimuth_i, polar_o, azimuth_o, rows[:7])
         _add_further_light(polar_i, azimuth_i, polar_o, azimuth_o, rows[:7], count, table, rows[8:], out[start:end])
+
+
+@compiled
+def _sum_over_facets(
+    theta_i: Array,
+    slope: Array,
+    slope_weight: Array,
+    first: Array,
+    azimuths: Array,
+    tables: FacetTables,
+    n: Array,
+    k: Array,
+    absorbs: bool,
+    sums: Array,
+) -> None:
+    together = _BLOCK // azimuths.shape[1]
+    space = np.empty((_ROWS, _BLOCK))
+    for row in range(theta_i.size):
+        cosine, sin_i = math.cos(theta_i[row]), math.sin(theta_i[row])
+        cos_i = _at_least(cosine, _LEAST)
+        for start in range(0, slope.shape[1], together):
+            end = min(start + together, slope.shape[1])
+            rows = _rows(space, (end - start) * azimuths.shape[1])
+            pair, mirrors, work, light = rows[:7], rows[7], rows[8:19], rows[19]
+            at = 0
+            for place in range(start, end):
+                s, open_range = slope[row, place], math.pi - first[row, place]
+                u = s * s
+                weight = 8 * slope_weight[row, place] * s * open_range / ((1 + u) * (1 + u))
+                for turn in range(azimuths.shape[1]):
+                    cos_turn = math.cos(first[row, place] + open_range * azimuths[0, turn])
+                    facing = _at_least(cosine - s * cos_turn * sin_i, 0.0)
+                    cos_o = _at_most(_at_least(2 * facing / (1 + u) - cosine, _LEAST), 1.0)
+                    pair[0][at], pair[1][at] = u, _at_most(facing / math.sqrt(1 + u), 1.0)
+                    pair[2][at], pair[3][at] = cos_i, sin_i
+                    pair[4][at], pair[5][at] = cos_o, math.sqrt((1 - cos_o) * (1 + cos_o))
+                    light[at] = weight * azimuths[1, turn] * cos_o * facing
+                    at += 1
+            _isotropic_mirrors(pair, work, 1, tables, mirrors)
+            total = 0.0
+            for j in range(light.size):
+                light[j] *= mirrors[j]
+                total += light[j]
+            sums[row, 0] += total
+            for w in range(n.size):
+                total = 0.0
+                if absorbs:
+                    for j in range(light.size):
+                        total += light[j] * _absorbing(pair[1][j], n[w], k[w])
+                else:
+                    for j in range(light.size):
+                        total += light[j] * _transparent(pair[1][j], n[w])
+                sums[row, 1 + w] += total
+
+
+def sum_over_facets(
+    tables: FacetTables,
+    theta_i: Array,
+    slope: Array,
+    slope_weight: Array,
+    first: Array,
+    azimuths: tuple[Array, Array],
+    n: Array,
+    k: Array,
+) -> Array:
+    """Directional albedo of the facets of an isotropic surface, (θ, 1 + index): as perfect mirrors, and of each index.
+
+    Parameters
+    ----------
+    tables : of the surface
+    theta_i : (θ,) angles of incidence [rad]
+    slope, slope_weight : (θ, S) slopes of a quadrature and their weights
+    first : (θ, S) azimuth [rad] from which on, to π, a facet mirrors the light upwards
+    azimuths : nodes and weights (B,) of a quadrature from 0 to 1 for that range
+    n, k : (index,) with n >= 1 or k > 0
+    """
+    sums = np.zeros((theta_i.size, 1 + n.size))
+    _sum_over_facets(theta_i, slope, slope_weight, first, np.stack(azimuths), tables, n, k, bool(k.any()), sums)
+    return sums
 
 
 def further_light(table: FurtherLight, angles: Sequence[Array], width: int) -> Array:

@@ -13,7 +13,8 @@ from scipy.interpolate import PPoly
 
 from brdfpipe import hemisphere
 from brdfpipe.bsdf.microfacet import energy, polarised, transmission
-from brdfpipe.bsdf.microfacet.energy import AlbedoTable, directional_albedo
+from brdfpipe.bsdf.microfacet.albedo_table import AlbedoTable
+from brdfpipe.bsdf.microfacet.energy import directional_albedo
 from brdfpipe.bsdf.microfacet.microsurface import Microsurface
 from brdfpipe.bsdf.microfacet.second_reflection import SecondReflection, second_reflection, with_second_reflection
 from brdfpipe.bsdf.spectral import OnlyOnce, each_time, spectral_values

@@ -12,7 +12,7 @@ import xarray as xr
 from brdfpipe import hemisphere, vocabulary
 from brdfpipe.bsdf.base import Representation
 from brdfpipe.bsdf.coupled_base import CoupledBase, ellipse_of
-from brdfpipe.bsdf.microfacet.energy import AlbedoTable
+from brdfpipe.bsdf.microfacet.albedo_table import AlbedoTable
 from brdfpipe.bsdf.microfacet.microsurface import NOT_PHYSICAL, Microsurface
 from brdfpipe.bsdf.representations.microfacet import Microfacet
 from brdfpipe.bsdf.spectral import at_wavelengths, only_once, per_wavelength, spectral_values

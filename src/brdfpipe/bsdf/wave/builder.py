@@ -22,6 +22,7 @@ from scipy.interpolate import CubicSpline
 from brdfpipe import hemisphere, vocabulary
 from brdfpipe.bsdf.coupled_base import ellipse_of
 from brdfpipe.bsdf.microfacet import energy
+from brdfpipe.bsdf.microfacet.albedo_table import AlbedoTable
 from brdfpipe.bsdf.microfacet.anisotropic_quadrature import arc_to_azimuth, azimuth_to_arc
 from brdfpipe.bsdf.microfacet.builder import build as build_microfacet
 from brdfpipe.bsdf.microfacet.builder import (
@@ -479,12 +480,12 @@ def _with_albedo(bsdf: xr.Dataset, theta_m: float, psd: xr.Dataset) -> xr.Datase
         unmatched = missing.mean(axis=1)
     unmatched = unmatched * waves
     if surface.relief is not None:
-        table = energy.AlbedoTable(bsdf["theta_i"].values, smooth(bsdf["theta_i"].values))
+        table = AlbedoTable(bsdf["theta_i"].values, smooth(bsdf["theta_i"].values))
     elif azimuths.size == 1:
         table = energy.refined(smooth, _SMOOTH_SLOPE, np.array([0.0, theta_m, 90.0]))
     else:
         nodes = np.unique(np.append(np.degrees(np.arccos(np.cos(np.linspace(0, np.pi / 2, 48)) ** 2)), theta_m))
-        table = energy.AlbedoTable(nodes, smooth(nodes))
+        table = AlbedoTable(nodes, smooth(nodes))
         around = arc_to_azimuth(ellipse_of(bsdf), np.arange(0.0, 360.0, _LAY_STEP))
         bsdf = bsdf.assign_coords(phi_i=np.sort(np.round(around, 9) % 360))
 
@@ -507,9 +508,9 @@ def _with_albedo(bsdf: xr.Dataset, theta_m: float, psd: xr.Dataset) -> xr.Datase
         excess = np.broadcast_to(np.maximum(of_waves, 0.0), lost.shape)
     values = np.clip(table.values[:, None] - lost - excess, 0.0, 1.0)
     if lay:
-        albedo, dims = energy.AlbedoTable(table.theta, values, phi, ellipse_of(bsdf)), ["theta_i", "phi_i"]
+        albedo, dims = AlbedoTable(table.theta, values, phi, ellipse_of(bsdf)), ["theta_i", "phi_i"]
     else:
-        albedo, dims, excess = energy.AlbedoTable(table.theta, values[:, 0]), ["theta_i"], excess[:, 0]
+        albedo, dims, excess = AlbedoTable(table.theta, values[:, 0]), ["theta_i"], excess[:, 0]
     bsdf = _with_energy_statement(bsdf, unmatched.max(axis=1), theta)
     if surface.relief is not None:
         share = surface.facet_share(2 * np.cos(np.radians(table.theta)), wavelength)
