@@ -367,7 +367,7 @@ def test_coherent_light_and_halo_of_a_perfect_mirror_are_all_light_up_to_grazing
     for theta in (52.0, 70.0, 82.0, 86.0, 88.5, 89.5):
         rule = hemisphere.around_mirror(theta, representation(bsdf).lobe_slope, order=5)
         angles = np.full_like(rule.theta, theta), np.zeros_like(rule.theta), rule.theta, rule.phi
-        halo = surface.halo_of_mirrors(angles, nm)[..., 0]
+        halo = surface.halo_of_mirrors(angles, nm)[..., :2].sum(axis=-1)
         for direction in (angles[0], angles[2]):
             halo *= surface.closure.of_halo(np.cos(np.radians(direction)), 0 * direction, nm)
         # Of the light that waves reflect; steep roughness reflects 6 % of it as facets at 52 degree.

@@ -12,7 +12,7 @@ from bisect import bisect_left
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from itertools import product
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -469,11 +469,11 @@ def _with_albedo(bsdf: xr.Dataset, theta_m: float, psd: xr.Dataset) -> xr.Datase
 
     surface, azimuths = RoughSurface.of(bsdf), _azimuths(bsdf)
     theta = closure_nodes(_INCIDENCES if azimuths.size == 1 else _LAY_INCIDENCES)
-    closed = surface.halo is not None and surface.halo.first_order is not None
+    closed, halos = surface.halo is not None and surface.halo.first_order is not None, None
     if closed:
-        bsdf, unmatched = _with_closure(surface, bsdf, theta, psd)
+        bsdf, unmatched, halos = _with_closure(surface, bsdf, theta, psd)
         surface = RoughSurface.of(bsdf)
-    scattered = _scattered(surface, bsdf, theta, azimuths)
+    scattered = _scattered(surface, bsdf, theta, azimuths, halos if azimuths.size == 1 else None)
     missing = smooth(theta)[:, None] * (1 - surface.coherent_share(theta[:, None], azimuths, wavelength)) - scattered
     waves = 1 - surface.facet_share(2 * np.cos(np.radians(theta)), wavelength)
     if not closed:
@@ -523,8 +523,11 @@ def _with_albedo(bsdf: xr.Dataset, theta_m: float, psd: xr.Dataset) -> xr.Datase
     )
 
 
-def _with_closure(surface: RoughSurface, bsdf: xr.Dataset, theta: Array, psd: xr.Dataset) -> tuple[xr.Dataset, Array]:
-    """Add what closes the energy of coherent light and halo; and the light that this leaves missing, (incidences, wavelength).
+def _with_closure(
+    surface: RoughSurface, bsdf: xr.Dataset, theta: Array, psd: xr.Dataset
+) -> tuple[xr.Dataset, Array, list[list[_Lobe]]]:
+    """Add what closes the energy of coherent light and halo; the light that this leaves missing, (incidences, wavelength); and the halo of
+    mirrors by incidence and azimuth.
 
     The coherent light of a perfect mirror loses what its surface scatters. That is g at steep incidence, and the light of first order
     where g is small, which near grazing is more than g, and with a lay depends on the azimuth. Of the halo the factor of both
@@ -538,12 +541,17 @@ def _with_closure(surface: RoughSurface, bsdf: xr.Dataset, theta: Array, psd: xr
     surface = surface.prepared_for(2 * _count(directions, theta) * few.size)
     first_order = np.zeros((theta.size, arcs.size, few.size))
     kernel = np.zeros((few.size, *first_order.shape[:2], first_order[..., 0].size))
+    halos: list[list[_Lobe]] = []
     for row, angle in enumerate(theta[theta < 90]):
+        halos.append([])
         for number, (weight, angles) in enumerate(directions(float(angle))):
-            halo, first = np.moveaxis(surface.halo_of_mirrors(angles, wavelength[few]) * weight[:, None, None], -1, 0)
-            first_order[row, number] = first.sum(axis=0)
+            halo = surface.halo_of_mirrors(angles, wavelength[few])
+            # With a lay the light is integrated at other azimuths.
+            halos[-1] += [] if lay else [_Lobe(weight, angles, halo)]
+            first_order[row, number] = weight @ halo[..., 2]
+            light = (halo[..., 0] + halo[..., 1]) * weight[:, None]
             for node, share in _closure_corners(bsdf, angles, theta.size, arcs.size):
-                for column, values in enumerate(halo.T):
+                for column, values in enumerate(light.T):
                     kernel[column, row, number] += np.bincount(node, values * share, minlength=kernel.shape[-1])
     cosine, between_all = np.cos(np.radians(theta)), kernel.reshape(few.size, -1, kernel.shape[-1])
     change = 4e3 * np.pi * cosine[:, None] / wavelength[few]
@@ -570,7 +578,16 @@ def _with_closure(surface: RoughSurface, bsdf: xr.Dataset, theta: Array, psd: xr
     else:
         factor, loss = factor[:, 0], loss[:, 0]
     bsdf = bsdf.assign(halo_closure=(dims, factor), coherent_loss=(dims, loss))
-    return bsdf, _between_wavelengths(left, few, wavelength, np.ones(1))
+    return bsdf, _between_wavelengths(left, few, wavelength, np.ones(1)), halos
+
+
+class _Lobe(NamedTuple):
+    """Directions of an integral over the lobe of one incidence."""
+
+    weight: Array
+    angles: Angles
+    halo: Array | None = None
+    """Of mirrors, where it is known"""
 
 
 def _closure_corners(
@@ -654,16 +671,19 @@ def _with_energy_statement(bsdf: xr.Dataset, missing: Array, theta: Array) -> xr
     return vocabulary.add_warning(bsdf, f"{text}. {missed_light.advice(bsdf)}")
 
 
-def _scattered(surface: RoughSurface, bsdf: xr.Dataset, theta: Array, azimuths: Array) -> Array:
-    """∫ f cos θ_o dω_o without coherent and diffuse light, (incidences, azimuths, wavelength)."""
+def _scattered(
+    surface: RoughSurface, bsdf: xr.Dataset, theta: Array, azimuths: Array, halos: list[list[_Lobe]] | None
+) -> Array:
+    """∫ f cos θ_o dω_o without coherent and diffuse light, (incidences, azimuths, wavelength); ``halos`` are those of :func:`_with_closure`."""
     n, k, wavelength = (bsdf[name].values for name in ("n", "k", "wavelength"))
     few, directions = _few(wavelength, azimuths), _directions(bsdf, azimuths)
     calls = 1 if surface.closure is None else 2
     surface = surface.prepared_for(calls * _count(directions, theta) * few.size)
     result = np.zeros((theta.size, azimuths.size, few.size))
     for row, angle in enumerate(theta[theta < 90]):
-        for number, (weight, angles) in enumerate(directions(float(angle))):
-            result[row, number] = weight @ surface.evaluate(angles, wavelength[few], n[few], k[few])
+        lobes = halos[row] if halos else [_Lobe(*rule) for rule in directions(float(angle))]
+        for number, (weight, angles, halo) in enumerate(lobes):
+            result[row, number] = weight @ surface.evaluate(angles, wavelength[few], n[few], k[few], halo=halo)
     cosine = np.where(theta >= 90, 0.0, np.cos(np.radians(theta)))
     return _between_wavelengths(result, few, wavelength, np.asarray(fresnel(cosine[:, None], n, k).mean)[:, None])
 

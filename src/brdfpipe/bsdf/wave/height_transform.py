@@ -22,7 +22,7 @@ from typing import NamedTuple
 import numpy as np
 import xarray as xr
 from scipy.fft import fht, fhtoffset
-from scipy.interpolate import CubicSpline
+from scipy.ndimage import spline_filter1d
 from scipy.special import gammaln, kv
 
 from brdfpipe.geometry import Array
@@ -300,10 +300,20 @@ def _by_hankel_transform(
 
 
 def _interpolated(nodes: Array, values: Array, at: Array) -> Array:
-    """Cubic splines through values (phases, nodes), at places, from the nodes about these: others change less than rounding does."""
-    first, last = np.searchsorted(nodes, [at.min(), at.max()])
-    used = slice(max(int(first) - _NEAR, 0), int(last) + _NEAR)
-    return np.asarray(CubicSpline(nodes[used], values[:, used], axis=1)(at))
+    """Cubic splines through values (phases, nodes), at places, from the nodes about these: others change less than rounding does.
+
+    The nodes are evenly spaced, so that the coefficients of all splines follow from one recursion. The places are :data:`_NEAR` nodes from
+    the ends, or more.
+    """
+    place = (at - nodes[0]) * ((nodes.size - 1) / (nodes[-1] - nodes[0]))
+    before = place.astype(int)
+    first = max(int(before.min()) - _NEAR, 0)
+    used = values[:, first : int(before.max()) + _NEAR]
+    coefficients = spline_filter1d(used, order=3, axis=1, mode="mirror")
+    x, y = place - before, 1 - place + before
+    splines = y**3 / 6, 2 / 3 - x**2 * (1 - x / 2), 2 / 3 - y**2 * (1 - y / 2), x**3 / 6
+    near = before - first - 1
+    return np.asarray(sum(coefficients[:, near + number] * weight for number, weight in enumerate(splines)))
 
 
 def _higher_orders(g: Array, rho: Array) -> Array:

@@ -316,10 +316,11 @@ class RoughSurface:
             return waves * self.closure.coherent_share(np.maximum(cosine, 0.0), phi_i, wavelength)
         return waves * self.halo.coherent_share(theta_i, wavelength) if self.halo is not None else waves
 
-    def evaluate(self, angles: Angles, wavelength: Array, n: Array, k: Array) -> Array:
+    def evaluate(self, angles: Angles, wavelength: Array, n: Array, k: Array, *, halo: Array | None = None) -> Array:
         """BRDF without diffuse light [sr-1], (directions, wavelength); 0 unless both directions are above the surface.
 
-        Angles are θ_i, φ_i, θ_o and φ_o, (directions,) degree; wavelength [nm], n and k are (wavelength,).
+        Angles are θ_i, φ_i, θ_o and φ_o, (directions,) degree; wavelength [nm], n and k are (wavelength,). ``halo`` is
+        :meth:`halo_of_mirrors` of the same directions and wavelengths, if it is known.
         """
         many = self.compiled or angles[0].size * wavelength.size >= MANY_VALUES
         surface = self._with_compiled_halos if many else self
@@ -328,7 +329,8 @@ class RoughSurface:
         def of_block(pair: HalfVector, block: Angles, at: NDArray[np.int64]) -> Array:
             # The compiled kernel of the facets needs many directions at once.
             facets = (lambda: of_all_facets()[at]) if many else None
-            return surface.of_pairs(block, wavelength, n, k, pair=pair, facets=facets, compiled=many)
+            orders = None if halo is None else (halo[at, :, 0], halo[at, :, 1])
+            return surface.of_pairs(block, wavelength, n, k, pair=pair, facets=facets, orders=orders, compiled=many)
 
         return _in_blocks(angles, (wavelength.size,), of_block, many)
 
@@ -357,6 +359,7 @@ class RoughSurface:
         *,
         pair: HalfVector | None = None,
         facets: Callable[[], Array] | None = None,
+        orders: tuple[Array, Array] | None = None,
         compiled: bool = False,
         reflectance: Callable[[Array], Array] | None = None,
         once: OnlyOnce = each_time,
@@ -368,6 +371,7 @@ class RoughSurface:
         angles : (directions,) each, or numbers, which take a fraction of the time of arrays
         pair : of these directions, if it is known
         facets : gives the BRDF of the facets, if it is known
+        orders : :meth:`brdfpipe.bsdf.wave.halo.Halo.by_order` of these directions, if it is known
         compiled : whether the polarisation factor is computed by compiled code
         reflectance : Fresnel's reflectance of n and k as a function of cosines, (…, 1), if it is known
         once : for several surfaces of one body in the same directions
@@ -377,7 +381,7 @@ class RoughSurface:
         if relief is not None:
             surface, masking = relief.surface, relief.masking
             visible = once(("visible", id(surface)), lambda: surface.visibility(pair, *azimuths, masking))
-        parts = self._parts(pair, azimuths, wavelength, visible, once)
+        parts = self._parts(pair, azimuths, wavelength, visible, once, orders)
         values = np.zeros((*np.shape(angles[0]), wavelength.size))
         if parts.facets is not None:
             assert relief is not None
@@ -393,7 +397,10 @@ class RoughSurface:
         return values
 
     def halo_of_mirrors(self, angles: Angles, wavelength: Array) -> Array:
-        """BRDF of the halo if the body were a perfect mirror, before it is matched, and of its first order, (directions, wavelength, 2) [sr-1]."""
+        """BRDF of the halo if the body were a perfect mirror, before it is matched [sr-1], (directions, wavelength, 3).
+
+        What reflects as waves, what reflects as tilted facets, and the first order without its loss to higher ones.
+        """
         surface = self._with_compiled_halos if self.compiled else self
         halo, relief = surface.halo, surface.relief
         assert halo is not None
@@ -402,9 +409,9 @@ class RoughSurface:
         def of_block(pair: HalfVector, block: Angles, at: NDArray[np.int64]) -> Array:
             azimuths = block[1], block[3]
             low, high = halo.by_order(pair, azimuths, wavelength, relief.tilted(pair, azimuths))
-            return np.stack([low + high, halo.first_strength(pair, azimuths, wavelength)], axis=-1)
+            return np.stack([low, high, halo.first_strength(pair, azimuths, wavelength)], axis=-1)
 
-        return _in_blocks(angles, (wavelength.size, 2), of_block, self.compiled)
+        return _in_blocks(angles, (wavelength.size, 3), of_block, self.compiled)
 
     def mueller(self, angles: Angles, wavelength: Array, n: Array, k: Array) -> Array:
         """Mueller matrices of the same [sr-1], (directions, wavelength, 4, 4), in the frames of the microfacet model."""
@@ -456,9 +463,15 @@ class RoughSurface:
         return replace(self, halo=halo, relief=relief, closure=closure)
 
     def _parts(
-        self, pair: HalfVector, azimuths: Azimuths, wavelength: Array, visible: Array, once: OnlyOnce = each_time
+        self,
+        pair: HalfVector,
+        azimuths: Azimuths,
+        wavelength: Array,
+        visible: Array,
+        once: OnlyOnce = each_time,
+        orders: tuple[Array, Array] | None = None,
     ) -> _Parts:
-        """Of pairs of directions; ``visible`` is the visibility of their facets, if there are any."""
+        """Of pairs of directions; ``visible`` is the visibility of their facets, if there are any, ``orders`` their halo by order, if known."""
         cosines, relief = pair.cos_i + pair.cos_o, self.relief
         if relief is None:
             assert self.halo is not None
@@ -468,7 +481,7 @@ class RoughSurface:
         tilted = once(("tilted", id(visible)), lambda: tilted_share(pair, visible))
         facets, spread, waves = None, np.zeros(share.shape), np.zeros(share.shape)
         if self.halo is not None and not (share == 1).all():
-            low, high = self.halo.by_order(pair, azimuths, wavelength, tilted, once)
+            low, high = orders or self.halo.by_order(pair, azimuths, wavelength, tilted, once)
             of_waves = 1 - share
             if self.closure is not None:
                 closure, both = self.closure, np.array([pair.cos_i, pair.cos_o])
