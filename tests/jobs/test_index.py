@@ -167,3 +167,20 @@ def test_an_index_that_cannot_be_written_anew_is_read(folder: Path, monkeypatch:
     full = shutil.disk_usage(folder)._replace(free=0)
     monkeypatch.setattr(shutil, "disk_usage", lambda path: full)
     assert Index(folder).jobs.keys() == {"m/a.nc"}
+
+
+def test_a_changed_bit_makes_the_index_forget_and_never_believe_something_else(tmp_path: Path) -> None:
+    folder = tmp_path / "results"
+    folder.mkdir()
+    index = Index(folder)
+    for name in ("a.nc", "b.nc"):
+        (folder / name).write_text(name)
+        index.finish("p", "c", (("raw", "0"),), [name])
+    content, jobs = (folder / INDEX).read_bytes(), dict(index.jobs)
+    for place in range(len(content)):
+        damaged = bytearray(content)
+        damaged[place] ^= 1
+        (folder / INDEX).write_bytes(damaged)
+        found = Index(folder)
+        assert found.jobs.items() <= jobs.items()
+        assert found.damaged(["a.nc", "b.nc"]) == []

@@ -1,7 +1,7 @@
 """The index of a folder of results: what each job read and wrote, by content, so that a change is noticed whatever the times of files say.
 
-It is a text file of one JSON object a line; a later line replaces an earlier one of the same file or job. A line that a killed
-build left unfinished is ignored: its job runs again.
+It is a text file of one JSON object a line, followed by its checksum; a later line replaces an earlier one of the same file or job. A line
+that a killed build left unfinished, or whose checksum is wrong, is ignored: its job runs again.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ import os
 import socket
 import threading
 import time
+import zlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -240,7 +241,7 @@ class Index:
     def _append(self, line: Mapping[str, Any]) -> None:
         # Where the disk is full, the job runs again in the next build.
         with suppress(OSError), self._path.open("a", encoding="utf-8") as file:
-            file.write(canonical_json(line) + "\n")
+            file.write(with_checksum(canonical_json(line)) + "\n")
 
     def _read(self) -> None:
         if self._path.is_symlink() and not self._path.exists():  # nothing could be appended to it
@@ -254,7 +255,7 @@ class Index:
         live: dict[tuple[str, str], str] = {}
         for line in lines:
             with suppress(ValueError, KeyError, TypeError, AttributeError):  # unfinished or damaged
-                subject = self._take(json.loads(line))
+                subject = self._take(json.loads(_checked(line)))
                 live.pop(subject, None)  # later lines stay later
                 live[subject] = line
         if parts or lines[-1] or len(lines) * (1 - _MOST_SUPERSEDED) > len(live) + 2:
@@ -303,6 +304,19 @@ def record_apart(folder: Path) -> None:
 def digest_of(value: Any) -> str:
     """Digest of a value that JSON can hold."""
     return hashlib.sha256(canonical_json(value).encode()).hexdigest()[:_DIGITS]
+
+
+def with_checksum(text: str) -> str:
+    """A line of the index: a text and its checksum."""
+    return f"{text} {zlib.crc32(text.encode()):08x}"
+
+
+def _checked(line: str) -> str:
+    """The text of a line. Raises ValueError: its checksum is wrong."""
+    text = line.rpartition(" ")[0]
+    if line != with_checksum(text):
+        raise ValueError("damaged")
+    return text
 
 
 def _file_digest(path: Path) -> str:
