@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 _BUILD = """
@@ -24,10 +25,18 @@ MOST_KILLS = 200
 """A build that has not ended after so many kills does not resume."""
 
 
-def start_build(project: Path, folder: Path, results: Path, *options: str) -> subprocess.Popen[str]:
-    """Build a catalogue with the workflow of a project in another process, on two cores; its output goes to one pipe."""
+def start_build(
+    project: Path, folder: Path, results: Path, *options: str, environment: Mapping[str, str] | None = None
+) -> subprocess.Popen[str]:
+    """Build a catalogue with the workflow of a project in another process, on two cores by default; its output goes to one pipe.
+
+    ``environment``: variables beside those of this process.
+    """
     command = [sys.executable, "-c", _BUILD, project, folder, "--results", results, "--cores", "2", *options]
-    return subprocess.Popen(list(map(str, command)), stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+    variables = {**os.environ, **(environment or {})}
+    return subprocess.Popen(
+        list(map(str, command)), stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, env=variables
+    )
 
 
 def kill_until_complete(start: Callable[[], subprocess.Popen[str]], seconds: Callable[[], float]) -> int:

@@ -14,8 +14,9 @@ import numpy as np
 import pandas as pd
 import pytest
 import samples
-from killed_build import contents
+from killed_build import contents, start_build
 from random_surfaces import heights
+from varied_materials import ROUTES, write_varied
 
 from brdfpipe import installation, store
 from brdfpipe.appearance.quantities import quantities
@@ -127,6 +128,34 @@ def test_a_build_elsewhere_gives_the_same_bytes(
         before, after = ({file: made[file] for file in made if file.split("/")[0] in names} for made in (before, after))
     assert len(after) > 15
     assert after == before
+
+
+@pytest.mark.slow
+def test_every_route_gives_the_same_bytes_in_another_place_time_zone_and_locale_for_another_user(
+    tmp_path: Path,
+) -> None:
+    """A rig included, whose frames carry times; on one core, so that the jobs run in another order."""
+    for place in ("here", "elsewhere with spaces"):
+        write_varied(tmp_path / place / "catalogue", len(ROUTES))
+    environments = {
+        "here": {"TZ": "UTC", "LC_ALL": "C.UTF-8", "PYTHONHASHSEED": "1"},
+        "elsewhere with spaces": {
+            **{"TZ": "Asia/Kathmandu", "LC_ALL": "de_DE.UTF-8", "PYTHONHASHSEED": "2"},
+            **dict.fromkeys(("USER", "LOGNAME", "USERNAME"), "somebody-else"),
+        },
+    }
+    made = []
+    for (place, environment), cores in zip(environments.items(), ("2", "1"), strict=True):
+        folder = tmp_path / place
+        options = ("--scene", "gloss-sheet", "--cores", cores)
+        process = start_build(PROJECT, folder / "catalogue", folder / "results", *options, environment=environment)
+        output, _ = process.communicate()
+        assert process.returncode == 0, output
+        made.append(contents(folder / "results"))
+    first, second = made
+    assert first.keys() == second.keys()
+    assert [name for name in first if first[name] != second[name]] == []
+    assert any(name.endswith(".fits") for name in first)
 
 
 def test_an_edit_changes_the_digests_of_that_material_alone(built: tuple[Path, Path], tmp_path: Path) -> None:
