@@ -95,6 +95,8 @@ class Index:
         """Results and raw files of the build → digest of the content when it was planned; empty if nothing was planned."""
         self.replaced: set[str] = set()
         """Results of which the build found that they are not what their jobs wrote."""
+        self.damaged_lines = 0
+        """Of the file, when it was read; one that a killed build left unfinished does not count."""
         self._completed: Completed | None = None
         self._files: dict[str, tuple[Stamp, str]] = {}
         self._written: dict[str, str] = {}
@@ -253,12 +255,15 @@ class Index:
             with suppress(OSError):
                 lines += path.read_text(encoding="utf-8", errors="replace").split("\n")
         live: dict[tuple[str, str], str] = {}
-        for line in lines:
-            with suppress(ValueError, KeyError, TypeError, AttributeError):  # unfinished or damaged
+        for line in filter(None, lines):
+            try:
                 subject = self._take(json.loads(_checked(line)))
-                live.pop(subject, None)  # later lines stay later
-                live[subject] = line
-        if parts or lines[-1] or len(lines) * (1 - _MOST_SUPERSEDED) > len(live) + 2:
+            except (ValueError, KeyError, TypeError, AttributeError):
+                self.damaged_lines += line is not lines[-1]
+                continue
+            live.pop(subject, None)  # later lines stay later
+            live[subject] = line
+        if parts or lines[-1] or self.damaged_lines or len(lines) * (1 - _MOST_SUPERSEDED) > len(live) + 2:
             with suppress(OSError, StoreError):  # the disk is full or the folder write-protected: nothing is lost
                 write_text(self._path, "".join(f"{line}\n" for line in live.values()))
                 for path in parts:

@@ -57,7 +57,9 @@ def verify_results(results: Path) -> list[str]:
         raise BrdfpipeError(f"{results}: no results with an index; run `brdfpipe build` first")
     index = Index(results)
     written = {path for record in index.jobs.values() for path in record.outputs}
-    problems = []
+    problems = (
+        [f"{INDEX}: {index.damaged_lines} of its lines damaged; their jobs run again"] if index.damaged_lines else []
+    )
     for path in tqdm(sorted(written), unit="file", delay=2.0, disable=None, leave=False):
         if not (results / path).is_file():
             problems.append(f"{path}: is missing")
