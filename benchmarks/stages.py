@@ -89,7 +89,7 @@ def page() -> str:
             "",
             "## Formats of other programs",
             "",
-            *table(("Format", "Holds", "Files of a material", "Spectral", "Takes", "Options"), formats()),
+            *table(("Format", "Holds", "Files of a material", "Carries", "Read", "Takes", "Options"), formats()),
             "",
             "## Code that a stage depends on",
             "",
@@ -168,7 +168,8 @@ def formats() -> Iterable[Row]:
             f"`{name}`",
             format.description,
             ", ".join(files),
-            "yes" if format.spectral else "no",
+            ", ".join(("reflection", *format.carries)),
+            "yes" if format.read else "no",
             format.takes,
             options,
         )

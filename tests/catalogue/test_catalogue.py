@@ -184,7 +184,7 @@ def test_one_bad_material_stops_no_other(tmp_path: Path) -> None:
             COLOUR + "model: {multiple_scattering: compensated, masking: blinn}",
             "model.masking: `multiple_scattering: compensated` is defined for Smith's masking; found 'blinn'",
         ),
-        (COLOUR + "exports: [zemax]", "exports.0"),
+        (COLOUR + "exports: [photoshop]", "exports.0"),
         (COLOUR + "name: a b", "name"),
         (COLOUR + "name: ''", "name"),
     ],

@@ -73,7 +73,7 @@ def _of_values(
     axes = {name: _axis(grid, name, bsdf) for name in layout.named(layout.azimuth in grid)}
     _check_circles(axes, model.isotropic)
     averaged = not model.isotropic and layout.azimuth not in axes
-    brdf = _on_nodes(model.evaluate, layout, axes, averaged, model.mirror_symmetric)
+    brdf = values_on_nodes(model.evaluate, layout, axes, averaged, model.mirror_symmetric)
     spectral = ("wavelength",) if "wavelength" in bsdf.coords else ()
     table = xr.Dataset(
         {"brdf": ((*axes, *spectral), brdf if spectral else brdf[..., 0])},
@@ -103,7 +103,7 @@ def _of_values(
     return table
 
 
-def _on_nodes(
+def values_on_nodes(
     evaluate: Callable[..., Array], layout: Grid, axes: Mapping[str, Array], averaged: bool, symmetric: bool
 ) -> Array:
     """A BSDF on the nodes, (axes…, wavelength), or its mean over the azimuth of incidence."""
@@ -112,7 +112,7 @@ def _on_nodes(
     if symmetric and around[-1] == 360 and np.array_equal(around, 360 - around[::-1]):
         # Both sides of the plane of incidence have the same values.
         one_side = {**axes, name: around[around <= 180]}
-        values = _on_nodes(evaluate, layout, one_side, averaged, symmetric)
+        values = values_on_nodes(evaluate, layout, one_side, averaged, symmetric)
         other_side = np.flatnonzero(around < 180)[::-1]
         return np.concatenate([values, values.take(other_side, axis=-2)], axis=-2)
     nodes = dict(zip(axes, np.meshgrid(*axes.values(), indexing="ij"), strict=True))
@@ -137,14 +137,14 @@ def _with_uncertainty(table: xr.Dataset, bsdf: xr.Dataset) -> xr.Dataset:
             variance = np.zeros_like(given)
             # One change at a time: all together may not fit into the memory.
             for changed in changes.changed:
-                values = _on_nodes(changed.evaluate, layout, axes, averaged, symmetric)
+                values = values_on_nodes(changed.evaluate, layout, axes, averaged, symmetric)
                 variance += np.square(np.nan_to_num(values - given))
         else:
-            variance = _on_nodes(changes.variance, layout, axes, averaged, symmetric)
+            variance = values_on_nodes(changes.variance, layout, axes, averaged, symmetric)
         u = np.sqrt(variance)
     elif representation(bsdf).states_uncertainty:
         model = representation(bsdf)
-        u = _on_nodes(model.uncertainty, layout, axes, averaged, model.mirror_symmetric)
+        u = values_on_nodes(model.uncertainty, layout, axes, averaged, model.mirror_symmetric)
     else:
         return table
     # An uncertainty that does not depend on wavelength has one value for all of them.

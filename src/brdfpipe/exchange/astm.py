@@ -37,6 +37,7 @@ FORMAT = Format(
         },
     },
     takes="table",
+    carries=("transmission", "lay"),
 )
 
 _KEYWORDS = ("NUM_POINTS", "VARS")

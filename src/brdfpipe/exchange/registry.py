@@ -16,16 +16,37 @@ from __future__ import annotations
 
 import ast
 import importlib
+import json
 import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from brdfpipe import store
 from brdfpipe.errors import BrdfpipeError
 
 if TYPE_CHECKING:
     import xarray as xr
+
+
+PROPERTIES: Mapping[str, str] = {
+    "transmission": "light that passes to the other side",
+    "lay": "dependence on the azimuth of incidence",
+    "spectrum": "values by wavelength",
+    "colour": "three values of a colour",
+    "specular": "light that is mirrored into a single direction",
+    "uncertainty": "standard uncertainties",
+    "polarisation": "Mueller matrices",
+}
+"""What a BSDF may have and a format may lose."""
+
+GRID_OPTIONS: Mapping[str, Any] = {"tolerance": 0.01, "albedo_tolerance": 0.001, "largest": 400_000}
+"""Options of all formats on a grid of directions: limits of the error at the 95th percentile of directions, relative to BRDF·cos θ_o, and of
+the directional reflectance [1]; and the largest number of values of one channel, about 4 MB of text."""
+
+RECORD = ".json"
+"""Suffix of the record beside a file."""
 
 
 class ExchangeError(BrdfpipeError):
@@ -44,9 +65,14 @@ class Format:
     A writer is a function of the module. It is called with the path of the first file and writes the others beside it. A material
     without transmission has the files of ``reflection`` alone; a format with both sides in one file declares it there."""
     takes: str = "bsdf"
-    """``bsdf``: the writers take the BSDF; ``table``: they take the BSDF and, as keyword ``table``, the table of the material."""
-    spectral: bool = False
-    """Whether the files hold values by wavelength."""
+    """``bsdf``: the writers take the BSDF; ``table``: they take the BSDF and, as keyword ``table``, the table of the material; ``grid``:
+    they take the BSDF and :data:`GRID_OPTIONS`, and return a record that is written beside each file, with the suffix ``.json``."""
+    carries: tuple[str, ...] = ()
+    """What survives, of :data:`PROPERTIES`."""
+    read: str = ""
+    """Name of the function that reads the files; empty if none does."""
+    begins: tuple[str, ...] = ()
+    """Words of which the beginning of a file holds one, where several formats have its suffix."""
     options: Mapping[str, Any] = field(default_factory=dict)
     """Keyword of the writers → its default, such as ``tolerance``."""
     name: str = ""
@@ -59,7 +85,8 @@ class Format:
 
     def suffixes(self, side: str) -> list[str]:
         """Suffixes of the files of one side, the main one first."""
-        return [suffix for group in self.files[side].values() for suffix in group]
+        named = [suffix for group in self.files[side].values() for suffix in group]
+        return [*named, *(f"{suffix}{RECORD}" for suffix in named)] if self.takes == "grid" else named
 
     def write(self, bsdf: xr.Dataset, stem: str | os.PathLike[str], side: str = "reflection", **keywords: Any) -> None:
         """Write all files of one side: ``stem`` and the suffixes of the format.
@@ -69,20 +96,28 @@ class Format:
         ExchangeError : the format cannot hold such a BSDF, or it has no such option.
         """
         for writer, suffixes in self.files[side].items():
-            self.writer(writer)(bsdf, Path(f"{stem}{suffixes[0]}"), **self.keywords(keywords))
+            self.run(writer, bsdf, f"{stem}{suffixes[0]}", keywords)
 
-    def writer(self, name: str) -> Callable[..., None]:
-        """A writer of the format's module, which this imports."""
-        function: Callable[..., None] = getattr(importlib.import_module(self.module), name)
+    def run(self, writer: str, bsdf: xr.Dataset, path: str | os.PathLike[str], keywords: Mapping[str, Any]) -> None:
+        """Call one of the writers, and write the record that it returns beside the file."""
+        record = self.function(writer)(bsdf, Path(path), **self.keywords(keywords))
+        if self.takes == "grid":
+            record = {"format": self.name, "file": Path(path).name, **record}
+            store.write_text(f"{path}{RECORD}", json.dumps(record, indent=1, ensure_ascii=False, sort_keys=True) + "\n")
+
+    def function(self, name: str) -> Callable[..., Any]:
+        """A function of the format's module, which this imports."""
+        function: Callable[..., Any] = getattr(importlib.import_module(self.module), name)
         return function
 
     def keywords(self, given: Mapping[str, Any]) -> dict[str, Any]:
         """Keywords of the writers: the options with their defaults, and the table where the format takes one."""
-        known = {*self.options, *(["table"] if self.takes == "table" else [])}
+        options = {**self.options, **(GRID_OPTIONS if self.takes == "grid" else {})}
+        known = {*options, *(["table"] if self.takes == "table" else [])}
         if unknown := sorted(set(given) - known):
             accepted = ", ".join(sorted(known)) or "no option"
             raise ExchangeError(f"{self.name}: unknown option {unknown[0]!r}; accepted: {accepted}")
-        return {**self.options, **given}
+        return {**options, **given}
 
 
 def write(bsdf: xr.Dataset, path: str | os.PathLike[str], format: str | None = None, **options: Any) -> None:
@@ -118,7 +153,7 @@ def write(bsdf: xr.Dataset, path: str | os.PathLike[str], format: str | None = N
         suffix = Path(path).suffix.removeprefix(".")
         raise ExchangeError(f"{name}: unknown format {suffix!r}; accepted: {', '.join(FORMATS)}")
     declared, writer = longest.pop() if longest else next(iter(writers))
-    FORMATS[declared].writer(writer)(bsdf, path, **FORMATS[declared].keywords(options))
+    FORMATS[declared].run(writer, bsdf, path, options)
 
 
 def _declaration(path: Path) -> Format | None:

@@ -35,7 +35,13 @@ class Table(Representation):
     name = "table"
     kind = vocabulary.Kind(
         required={"brdf": _NODES},
-        optional={"brdf_u": _NODES, "total_reflectance": vocabulary.SPECTRAL, "theta_m": vocabulary.SCALAR},
+        optional={
+            "brdf_u": _NODES,
+            "brdf_quality": [nodes for nodes in _NODES if "wavelength" not in nodes],
+            "brdf_xyz": [(*nodes, "component") for nodes in _NODES if "wavelength" not in nodes],
+            "total_reflectance": vocabulary.SPECTRAL,
+            "theta_m": vocabulary.SCALAR,
+        },
     )
     accuracy = 1e-3
     """A more accurate quadrature would resolve the kinks at the nodes, which are not lines of θ_o and φ_o in every layout."""
@@ -75,6 +81,16 @@ class Table(Representation):
             if selected.any() and sides in interpolators:
                 result[selected] = interpolators[sides]([coordinates[name][selected] for name in self._names])
         return result.reshape(*shape, width)
+
+    def tristimulus(
+        self, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array, illuminant: str, observer: int
+    ) -> Array | None:
+        given = self.dataset.attrs.get("illuminant"), self.dataset.attrs.get("observer")
+        if "brdf_xyz" not in self.dataset or given != (illuminant, observer):
+            return None
+        # Wavelengths stand for X, Y and Z: both are interpolated alike.
+        values = self.dataset["brdf_xyz"].rename(component="wavelength").assign_coords(wavelength=[400.0, 500.0, 600.0])
+        return Table(xr.Dataset({"brdf": values})).evaluate(theta_i, phi_i, theta_o, phi_o, None) * 100 * np.pi
 
     def albedo(self, theta_i: Array, phi_i: Array, wavelength: Array | None) -> Array:
         """Directional reflectance [1], (incidences…, wavelength); for a uniform table the exact integral of its interpolation.

@@ -1,0 +1,249 @@
+"""A table that was read from a file, as a BSDF: missing cells, negative values, the declared integral and reciprocity are named."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from brdfpipe import vocabulary
+from brdfpipe.bsdf import approximation_error
+from brdfpipe.bsdf.grids import GRIDS, Angles
+from brdfpipe.bsdf.registry import representation
+from brdfpipe.bsdf.representations.table import Table
+from brdfpipe.errors import InputError
+from brdfpipe.geometry import Array
+from brdfpipe.spectra import colorimetry
+
+Channels = Literal["photopic", "xyz", "rgb", "spectral"]
+
+QUANTITIES = ("brdf", "brdf_cos", "pi_brdf")
+"""What the numbers of a table are: BRDF [sr-1], BRDF·cos θ_o [sr-1], or the reflectance factor π·BRDF."""
+
+INTEGRAL_LIMIT = 0.02
+"""Relative difference between the declared integral of a table and its own above which it is warned of."""
+RECIPROCITY_LIMIT = 0.1
+"""Median relative difference of exchanged directions above which it is warned of."""
+
+_HORIZON = 89.9
+_MOST_COMPARED = 4000
+
+
+@dataclass(frozen=True)
+class ReadTable:
+    """Content of a file."""
+
+    layout: str
+    """Key of :data:`brdfpipe.bsdf.grids.GRIDS`"""
+    axes: Mapping[str, Array]
+    """Increasing angles [degree], in the order of the layout"""
+    values: Array
+    """(axes…, channels), NaN where the file has no value"""
+    channels: Channels = "photopic"
+    """``xyz``: X, Y and Z, Y the BSDF weighted with V(λ); ``rgb``: linear sRGB; each under D65"""
+    wavelength: Array | None = None
+    """(channels,) nm, of spectral values"""
+    declared_integral: Array | None = None
+    """([phi_i,] theta_i, channels) reflectance that the file declares; NaN where it declares none"""
+    zero_is_missing: bool = False
+    """Whether 0 marks cells without a measurement"""
+    quantity: str = "brdf"
+    """Of :data:`QUANTITIES`"""
+    notes: tuple[str, ...] = ()
+    """What the reader changed or assumed"""
+
+
+def as_bsdf(read: ReadTable, path: Path) -> xr.Dataset:
+    """The BSDF of a table.
+
+    Parameters
+    ----------
+    read : the content of the file
+    path : of the file, for messages
+
+    Returns
+    -------
+    Dataset of kind ``bsdf``, representation ``table``: ``brdf`` and its ``brdf_quality``, and ``brdf_xyz`` of a table with colours. Cells without a value
+    are interpolated within their incidence, between cells about the same distance from the lobe. Values are never rescaled: a declared integral that differs is a warning
+
+    Raises
+    ------
+    InputError : no cell has a value, or an axis does not increase.
+    """
+    for name, axis in read.axes.items():
+        if axis.size > 1 and not (np.diff(axis) > 0).all():
+            at = int(np.flatnonzero(np.diff(axis) <= 0)[0])
+            raise InputError(path, f"the angles {name} do not increase", found=f"{axis[at + 1]:g} after {axis[at]:g}")
+    values, quality, warnings = _completed(_as_brdf(read), read, path)
+    read, values, quality = _with_two_nodes(read, values, quality)
+    names = tuple(read.axes)
+    table = xr.Dataset(coords=dict(read.axes), attrs={"representation": Table.name, "source_representation": "file"})
+    if read.channels == "spectral":
+        table = table.assign_coords(wavelength=read.wavelength)
+        table["brdf"] = (*names, "wavelength"), values
+    else:
+        xyz = _tristimulus(values, read.channels)
+        table["brdf"] = names, values[..., 0] if xyz is None else xyz[..., 1]
+        if xyz is not None:
+            table["brdf_xyz"] = (*names, "component"), xyz
+            table = table.assign_coords(component=["X", "Y", "Z"]).assign_attrs(illuminant="D65", observer=2)
+    table["brdf_quality"] = names, quality
+    table = vocabulary.label(table, "bsdf")
+    warnings += _declared(read, table) + _reciprocity(table)
+    return vocabulary.add_warning(vocabulary.add_history(table, *read.notes), *warnings)
+
+
+def _directions(read: ReadTable) -> Angles:
+    grid = GRIDS[read.layout]
+    return grid.directions(dict(zip(read.axes, np.meshgrid(*read.axes.values(), indexing="ij"), strict=True)))
+
+
+def _as_brdf(read: ReadTable) -> Array:
+    if read.quantity == "pi_brdf":
+        return np.asarray(read.values / np.pi)
+    if read.quantity == "brdf_cos":
+        cosine = np.abs(np.cos(np.radians(np.minimum(_directions(read)[2], _HORIZON))))
+        return np.asarray(read.values / cosine[..., None])
+    return read.values
+
+
+def _completed(values: Array, read: ReadTable, path: Path) -> tuple[Array, NDArray[np.int8], list[str]]:
+    """Values at all cells, their quality (axes…), and warnings."""
+    quality = np.zeros(values.shape[:-1], dtype=np.int8)
+    above = np.broadcast_to(_directions(read)[2] <= 90, quality.shape) if read.layout == "specular" else quality == 0
+    missing = np.asarray(np.isnan(values).any(axis=-1))
+    if read.zero_is_missing:
+        missing |= (values == 0).all(axis=-1)
+    warnings = []
+    if (negative := ~missing & (values < 0).any(axis=-1)).any():
+        least = float(np.nanmin(values))
+        warnings.append(
+            f"{negative.sum()} of {above.sum()} cells are negative (down to {least:.3g} sr-1); they became 0"
+        )
+        quality[negative] = vocabulary.quality("clamped")
+        values = np.maximum(values, 0.0)
+    if (lost := missing & above).any():
+        share = lost.sum() / above.sum()
+        warnings.append(
+            f"{lost.sum()} of {above.sum()} cells above the horizon ({share:.1%}) have no value; they were interpolated from their neighbours"
+        )
+    if not missing.any():
+        return values, quality, warnings
+    if missing.all():
+        raise InputError(path, "no cell has a value", found="0 or nothing in all of them")
+    filled = values.copy()
+    slices = [name not in ("theta_i", "phi_i", "theta_h", "phi_h") for name in read.axes]
+    outer = values.shape[: slices.index(True)]
+    inner = [axis for axis, within in zip(read.axes.values(), slices, strict=True) if within]
+    for index in np.ndindex(outer):
+        if missing[index].all():
+            raise InputError(path, "an incidence has no value at all", found=f"number {index[-1] + 1}")
+        if missing[index].any():
+            filled[index], guessed = _filled(values[index], missing[index], inner)
+            quality[index][missing[index]] = np.where(
+                guessed, vocabulary.quality("extrapolated"), vocabulary.quality("interpolated")
+            )
+    return filled, quality, warnings
+
+
+def _filled(values: Array, missing: NDArray[np.bool_], axes: list[Array]) -> tuple[Array, NDArray[np.bool_]]:
+    """Values with those that are missing interpolated in the plane of polar angle and azimuth; where none is around, the nearest one."""
+    from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
+
+    polar, azimuth = np.meshgrid(*axes, indexing="ij")
+    points = np.stack([polar * np.cos(np.radians(azimuth)), polar * np.sin(np.radians(azimuth))], axis=-1)
+    known, wanted = points[~missing], points[missing]
+    found = NearestNDInterpolator(known, values[~missing])(wanted)
+    guessed = np.ones(len(wanted), dtype=bool)
+    if len(known) > 3 and np.linalg.matrix_rank(known - known.mean(axis=0)) == 2:
+        between = LinearNDInterpolator(known, values[~missing])(wanted)
+        guessed = np.asarray(np.isnan(between).any(axis=-1))
+        found = np.where(guessed[:, None], found, between)
+    result = values.copy()
+    result[missing] = found
+    return result, guessed
+
+
+def _with_two_nodes(
+    read: ReadTable, values: Array, quality: NDArray[np.int8]
+) -> tuple[ReadTable, Array, NDArray[np.int8]]:
+    """An axis of one angle gets a second one with the same values, because a table is interpolated."""
+    axes = dict(read.axes)
+    for number, (name, axis) in enumerate(read.axes.items()):
+        if axis.size == 1:
+            axes[name] = np.array([axis[0], axis[0] + 1.0 if axis[0] < 89 else axis[0] + 0.5])
+            values, quality = np.repeat(values, 2, axis=number), np.repeat(quality, 2, axis=number)
+            note = f"the file has one angle {name}, {axis[0]:g} degree; other angles have its values"
+            read = replace(read, notes=(*read.notes, note))
+    return replace(read, axes=axes), values, quality
+
+
+def _tristimulus(values: Array, channels: Channels) -> Array | None:
+    """X, Y and Z of colours, Y of a perfect white diffuser is 1/π; None without colours."""
+    if channels == "xyz":
+        return values
+    if channels == "rgb":
+        to_rgb = colorimetry.srgb_from_xyz(colorimetry.weights("D65", 2).white) * 100
+        return np.asarray(np.maximum(values @ np.linalg.inv(to_rgb).T, 0.0))
+    return None
+
+
+def _declared(read: ReadTable, table: xr.Dataset) -> list[str]:
+    """The declared integral beside that of the table."""
+    if read.declared_integral is None or "theta_i" not in read.axes:
+        return []
+    declared = read.declared_integral.reshape(-1, *read.declared_integral.shape[-2:])[0]
+    channel = 1 if read.channels in ("xyz", "rgb") else declared.shape[-1] // 2
+    angles = read.axes["theta_i"][: declared.shape[0]]
+    own = np.array([_integral(table, float(angle), channel if read.channels == "spectral" else 0) for angle in angles])
+    stated = declared[:, channel]
+    known = np.isfinite(stated) & (stated > 0)
+    if not known.any():
+        return []
+    ratio = own[known] / stated[known]
+    worst = int(np.argmax(np.abs(np.log(np.maximum(ratio, 1e-12)))))
+    if abs(ratio[worst] - 1) <= INTEGRAL_LIMIT:
+        return []
+    listed = ", ".join(
+        f"{angle:g}°: {of_values:.3f} ({of_file:.3f} declared)"
+        for angle, of_values, of_file in zip(angles[known], own[known], stated[known], strict=True)
+        if angle in (angles[known][0], angles[known][known.sum() // 2], angles[known][worst])
+    )
+    return [
+        f"the integral of the values differs from the reflectance that the file declares by up to {abs(ratio[worst] - 1):.0%}: {listed}; "
+        "the values were not rescaled"
+    ]
+
+
+def _integral(table: xr.Dataset, theta_i: float, channel: int) -> float:
+    rule = approximation_error.directions(table, theta_i)
+    return float(rule.weight @ approximation_error.brdf_at(table, theta_i, 0.0, rule)[:, channel])
+
+
+def _reciprocity(table: xr.Dataset) -> list[str]:
+    """How far exchanged directions differ, within the incidences of the table."""
+    if "theta_i" not in table.coords:
+        return []
+    low, high = float(table["theta_i"][0]), min(float(table["theta_i"][-1]), 85.0)
+    if high - low < 10:
+        return []
+    generator = np.random.default_rng(0)
+    theta_i, theta_o = generator.uniform(low, high, (2, _MOST_COMPARED))
+    phi_i, phi_o = generator.uniform(0.0, 360.0, (2, _MOST_COMPARED))
+    evaluate = representation(table).evaluate
+    one, other = evaluate(theta_i, phi_i, theta_o, phi_o, None), evaluate(theta_o, phi_o, theta_i, phi_i, None)
+    mean = (one + other).mean(axis=-1) / 2
+    lit = mean > 0
+    if not lit.any():
+        return []
+    median = float(np.median(np.abs(one - other).mean(axis=-1)[lit] / mean[lit]))
+    if median <= RECIPROCITY_LIMIT:
+        return []
+    return [
+        f"exchanged directions differ by {median:.1%} (median), so the table is not reciprocal; check that it is BRDF, not BRDF times a cosine"
+    ]

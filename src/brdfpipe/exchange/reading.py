@@ -1,0 +1,72 @@
+"""Reading the files of other programs: the format by name, by suffix, or by the beginning of the file."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import xarray as xr
+
+from brdfpipe.errors import InputError
+from brdfpipe.exchange.read_table import QUANTITIES, as_bsdf
+from brdfpipe.exchange.registry import FORMATS, Format
+
+_BEGINNING = 4096
+"""Bytes in which the word of a format is searched."""
+
+
+def read(path: str | os.PathLike[str], format: str | None = None, *, quantity: str | None = None) -> xr.Dataset:
+    """Read a table of a BSDF.
+
+    Parameters
+    ----------
+    path : the file
+    format : a key of :data:`brdfpipe.exchange.registry.FORMATS`; by default that of the suffix and of the beginning of the file
+    quantity : what the values are, ``brdf``, ``brdf_cos`` or ``pi_brdf``; by default what the format or the file says
+
+    Returns
+    -------
+    Dataset of kind ``bsdf``, see :func:`brdfpipe.exchange.read_table.as_bsdf`
+
+    Raises
+    ------
+    InputError : the file cannot be read, or contradicts itself.
+    """
+    path = Path(path)
+    if quantity is not None and quantity not in QUANTITIES:
+        raise InputError(
+            path, "unknown quantity", found=repr(quantity)[:40], accepted=", ".join(QUANTITIES), key="table.quantity"
+        )
+    if not path.is_file():
+        raise InputError(path, "no such file", accepted="a file of a BSDF", key="table.file")
+    declared = format_of(path, format)
+    found = declared.function(declared.read)(path)
+    return as_bsdf(found if quantity is None else replace(found, quantity=quantity), path)
+
+
+def format_of(path: Path, name: str | None = None) -> Format:
+    """The format of a file that can be read.
+
+    Raises InputError: none, or several, have such a suffix and beginning.
+    """
+    readable = {known.name: known for known in FORMATS.values() if known.read}
+    if name is not None:
+        if name not in readable:
+            raise InputError(
+                path, "unknown format", found=repr(name)[:40], accepted=", ".join(readable), key="table.format"
+            )
+        return readable[name]
+    with path.open("rb") as file:
+        beginning = file.read(_BEGINNING)
+    file_name = path.name.lower()
+    matches = []
+    for known in readable.values():
+        ends = any(file_name.endswith(Path(suffix).suffix) for side in known.files for suffix in known.suffixes(side))
+        if ends and (not known.begins or any(word.encode() in beginning for word in known.begins)):
+            matches.append(known)
+    if len(matches) == 1:
+        return matches[0]
+    accepted = ", ".join(known.name for known in matches or readable.values())
+    problem = "several formats have such files" if matches else "no format has such files"
+    raise InputError(path, problem, found=path.suffix or "no suffix", accepted=accepted, key="table.format")

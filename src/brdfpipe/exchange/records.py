@@ -1,0 +1,92 @@
+"""What is said in and beside an exported table: its error, and what the format leaves out of the BSDF."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from brdfpipe.bsdf.base import Representation
+from brdfpipe.bsdf.registry import representation
+from brdfpipe.bsdf.source_changes import uncertain
+from brdfpipe.exchange.gridded import Gridded
+from brdfpipe.exchange.registry import Format
+
+Record = dict[str, Any]
+"""Plain values for JSON."""
+
+_NEGLIGIBLE_SHARE = 1e-6
+_STATED_AT = np.array([0.0, 20.0, 45.0, 60.0, 75.0])
+"""Incidences at which the share of light in a single direction is stated [degree]."""
+
+
+def record(table: Gridded, format: Format) -> Record:
+    """Material, digest, error and losses of a table."""
+    bsdf, error = table.bsdf, table.error
+    return {
+        "material": str(bsdf.attrs.get("material", "unnamed")),
+        "digest": str(bsdf.attrs.get("digest", "unknown")),
+        "values": int(np.prod([axis.size for axis in table.axes.values()])) * table.channel_count,
+        "error": {
+            "percentile_95": _digits(error.percentile_95),
+            "rms": _digits(error.rms),
+            "albedo": _digits(error.albedo),
+            "directions": error.directions,
+            "within_tolerance": table.within_tolerance,
+        },
+        "left_out": left_out(bsdf, format, table.channel_count),
+    }
+
+
+def sentences(record: Record) -> list[str]:
+    """The record in words, for comments of a file."""
+    error = record["error"]
+    stated = (
+        f"error of this table, interpolated linearly at {error['directions']} directions off its nodes: {error['percentile_95']:.2%} of "
+        f"BRDF cos theta_o at the 95th percentile, {error['albedo']:.2%} of the directional reflectance"
+    )
+    return [
+        f"brdfpipe: {record['material']}, digest of the BSDF {record['digest']}",
+        "BRDF in sr-1, not multiplied by the cosine",
+        stated if error["within_tolerance"] else f"{stated}; that is MORE than the tolerance asked for",
+        *(f"NOT in this file: {text}" for text in record["left_out"].values()),
+    ]
+
+
+def left_out(bsdf: xr.Dataset, format: Format, channels: int) -> dict[str, str]:
+    """What the BSDF has and a file of the format does not hold: property → sentence."""
+    model, lost = representation(bsdf), dict[str, str]()
+    if model.transmits and "transmission" not in format.carries:
+        lost["transmission"] = "the light that passes to the other side"
+    if not model.isotropic and "lay" not in format.carries:
+        lost["lay"] = "the dependence on the azimuth of incidence: the values are the mean over it"
+    if "wavelength" in bsdf.coords and ("spectrum" not in format.carries or channels <= 3):
+        lost["spectrum"] = (
+            "the spectrum: the values are X, Y, Z or R, G, B under D65"
+            if channels == 3
+            else "the spectrum: the values are weighted with V(lambda) and D65"
+        )
+    if "specular" not in format.carries and (text := _specular(model)):
+        lost["specular"] = text
+    if (uncertain(bsdf) or model.states_uncertainty) and "uncertainty" not in format.carries:
+        lost["uncertainty"] = "standard uncertainties"
+    if model.uses_index and "polarisation" not in format.carries:
+        lost["polarisation"] = "polarisation: the values are of unpolarised light"
+    return lost
+
+
+def _specular(model: Representation) -> str:
+    """The share of light in single directions, which no density holds."""
+    shares = [part.mean(axis=-1) for part in model.specular(_STATED_AT, np.zeros_like(_STATED_AT), None)]
+    texts = []
+    for share, words in zip(shares, ("mirrored", "transmitted undeviated"), strict=True):
+        if share.max() > _NEGLIGIBLE_SHARE:
+            listed = " ".join(f"{angle:g}:{value:.6f}" for angle, value in zip(_STATED_AT, share, strict=True))
+            texts.append(f"the share {words} into a single direction, by theta_i in degree: {listed}")
+    return "; ".join(texts)
+
+
+def _digits(value: float) -> float:
+    """Three significant digits: the error depends on the choice of directions beyond them."""
+    return float(f"{value:.3g}")

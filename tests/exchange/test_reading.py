@@ -1,0 +1,123 @@
+"""Tables read from files, as BSDFs: missing cells, negative values, declared integrals and reciprocity are named."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from brdfpipe.errors import InputError
+from brdfpipe.exchange import reading
+from brdfpipe.exchange.read_table import ReadTable, as_bsdf
+
+THETA_I, THETA_S, PHI_S = np.array([0.0, 30.0, 60.0]), np.linspace(0, 150, 31), np.linspace(0, 180, 19)
+
+
+def table(values=0.1, **options) -> ReadTable:
+    shape = THETA_I.size, THETA_S.size, PHI_S.size, 1
+    axes = {"theta_i": THETA_I, "theta_s": THETA_S, "phi_s": PHI_S}
+    return ReadTable("specular", axes, np.broadcast_to(values, shape).astype(float).copy(), **options)
+
+
+def warnings_of(read: ReadTable) -> str:
+    return " | ".join(json.loads(as_bsdf(read, Path("x.bsdf")).attrs.get("warnings", "[]")))
+
+
+def test_a_constant_table_is_a_perfect_diffuser():
+    found = as_bsdf(table(0.3 / np.pi), Path("x.bsdf"))
+    assert found.bsdf.albedo([10, 40]).values == pytest.approx([0.3, 0.3], rel=2e-3)
+    assert "warnings" not in found.attrs
+    assert (found["brdf_quality"] == 0).all()
+
+
+def test_missing_cells_are_interpolated_and_flagged():
+    read = table(THETA_S[None, :, None, None] + 1.0)
+    read.values[1, 4, 7] = np.nan
+    found = as_bsdf(read, Path("x.bsdf"))
+    # Between cells at the same radius, linear on the chords of their triangles.
+    assert float(found["brdf"][1, 4, 7]) == pytest.approx(21.0, rel=0.02)
+    assert "interpolated" in found["brdf_quality"].attrs["flag_meanings"].split()[int(found["brdf_quality"][1, 4, 7])]
+    assert "1 of" in warnings_of(read)
+
+
+def test_zero_is_missing_only_where_the_format_says_so():
+    read = table()
+    read.values[2, 0, :] = 0.0
+    assert float(as_bsdf(read, Path("x"))["brdf"][2, 0, 0]) == 0.0
+    filled = as_bsdf(table(read.values, zero_is_missing=True), Path("x"))
+    assert float(filled["brdf"][2, 0, 0]) == pytest.approx(0.1)
+
+
+def test_negative_values_are_counted_and_become_zero():
+    read = table()
+    read.values[0, 3, 2] = -0.02
+    assert "1 of" in warnings_of(read)
+    assert "-0.02" in warnings_of(read)
+    assert float(as_bsdf(read, Path("x"))["brdf"].min()) == 0.0
+
+
+def test_another_declared_integral_is_named_and_nothing_is_rescaled():
+    declared = np.full((THETA_I.size, 1), 0.2)
+    assert warnings_of(table(0.2 / np.pi, declared_integral=declared)) == ""
+    assert "not rescaled" in warnings_of(table(0.3 / np.pi, declared_integral=declared))
+    found = as_bsdf(table(0.3 / np.pi, declared_integral=declared), Path("x"))
+    assert float(found["brdf"].max()) == pytest.approx(0.3 / np.pi)
+
+
+def test_a_table_times_the_cosine_is_not_reciprocal_and_is_converted_on_request():
+    axes = {"theta_i": np.linspace(0, 85, 18), "theta_o": np.linspace(0, 85, 18), "phi_o": np.linspace(0, 180, 7)}
+    cosine = np.broadcast_to(np.cos(np.radians(axes["theta_o"]))[None, :, None, None] / np.pi, (18, 18, 7, 1))
+    read = ReadTable("uniform", axes, cosine.copy())
+    assert "not reciprocal" in warnings_of(read)
+    converted = ReadTable("uniform", axes, cosine.copy(), quantity="brdf_cos")
+    assert warnings_of(converted) == ""
+    assert as_bsdf(converted, Path("x"))["brdf"].values == pytest.approx(1 / np.pi)
+
+
+def test_reflectance_factors_become_brdf():
+    assert as_bsdf(table(np.pi, quantity="pi_brdf"), Path("x"))["brdf"].values == pytest.approx(1.0)
+
+
+def test_white_in_rgb_is_the_white_of_the_light():
+    read = table()
+    white = ReadTable(read.layout, read.axes, np.full((*read.values.shape[:-1], 3), 1 / np.pi), channels="rgb")
+    found = as_bsdf(white, Path("x"))
+    assert found["brdf"].values == pytest.approx(1 / np.pi)
+    x, y, z = found["brdf_xyz"].values[0, 0, 0]
+    # D65, 2 degree: X = 0.9505, Z = 1.0888 of Y = 1 (IEC 61966-2-1).
+    assert (x / y, z / y) == pytest.approx((0.9505, 1.0888), abs=5e-4)
+
+
+def test_one_incidence_serves_for_all_and_says_so():
+    read = table()
+    one = ReadTable(read.layout, {**read.axes, "theta_i": np.array([30.0])}, read.values[:1])
+    found = as_bsdf(one, Path("x"))
+    assert "one angle theta_i" in found.attrs["history"]
+    assert float(found.bsdf.evaluate(60, 0, 10, 0)) == pytest.approx(0.1)
+
+
+def test_a_table_without_values_or_with_unsorted_angles_is_refused():
+    with pytest.raises(InputError, match="no cell has a value"):
+        as_bsdf(table(np.nan), Path("x"))
+    read = table()
+    with pytest.raises(InputError, match="do not increase"):
+        as_bsdf(ReadTable(read.layout, {**read.axes, "theta_i": THETA_I[::-1]}, read.values), Path("x"))
+
+
+@pytest.mark.parametrize(
+    ("name", "format", "quantity", "message"),
+    [
+        ("x.bsdf", "unheard", None, "unknown format"),
+        ("x.unknown", None, None, "no format has such files"),
+        ("x.bsdf", None, "radiance", "unknown quantity"),
+        ("missing.bsdf", None, None, "no such file"),
+    ],
+)
+def test_what_cannot_be_read_is_refused_with_the_key_to_set(tmp_path, name, format, quantity, message):
+    if name != "missing.bsdf":
+        (tmp_path / name).write_text("Source Measured\n")
+    with pytest.raises(InputError, match=message) as refusal:
+        reading.read(tmp_path / name, format, quantity=quantity)
+    assert "`table." in str(refusal.value)
