@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 from pathlib import Path
 
@@ -97,6 +98,23 @@ def test_a_lay_becomes_sample_rotations(tmp_path):
     across, along = (float(back.bsdf.evaluate(40, phi, 25, phi + 180)) for phi in (90.0, 0.0))
     wanted = [float(brushed.bsdf.nonspectral().bsdf.evaluate(40, phi, 25, phi + 180)) for phi in (90.0, 0.0)]
     assert [across, along] == pytest.approx(wanted, rel=0.3)
+
+
+def test_tis_of_every_rotation_is_the_reflectance_along_its_azimuth(tmp_path):
+    brushed = samples.brushed_bsdf(0.5, 0.15)
+    write(brushed, tmp_path / "brushed.zemax.bsdf", tolerance=0.3, albedo_tolerance=0.2, largest=30_000)
+    lines = (tmp_path / "brushed.zemax.bsdf").read_text().splitlines()
+    rotation, aoi = (
+        np.array(after.split(), dtype=float)
+        for before, after in itertools.pairwise(lines)
+        if before.startswith(("SampleRotation", "AngleOfIncidence"))
+    )
+    tis = np.array([float(line.split()[1]) for line in lines if line.startswith("TIS")])
+    row = int(np.abs(aoi - 65).argmin())
+    albedo = brushed.bsdf.nonspectral().bsdf.albedo(aoi[row], rotation).values
+    # Along the lay and across it the reflectances differ by far more than a coarse table errs.
+    assert np.ptp(albedo) > 0.2 * albedo.mean()
+    assert tis.reshape(rotation.size, aoi.size)[:, row] == pytest.approx(albedo, rel=0.05)
 
 
 def test_a_long_name_is_refused(grey, tmp_path):

@@ -91,17 +91,20 @@ class Gridded:
         return np.asarray((values * factor).take(0, axis=self._axis))
 
     def blocks(self) -> Iterator[tuple[float, Array, Array]]:
-        """θ_i [degree], values (other axes…, channels) [sr-1] and the reflectance (channels,) of the table's own interpolation, by incidence."""
+        """θ_i [degree], values (other axes…, channels) [sr-1], and the reflectance ([phi_i,] channels) of the table's own interpolation, by incidence."""
         for row, theta_i in enumerate(self.axes["theta_i"]):
             values = self.block(row)
             yield float(theta_i), values, self._integral(float(theta_i), values)
 
     def _integral(self, theta_i: float, values: Array) -> Array:
-        """With azimuths of incidence, at the first of them."""
-        phi_i = float(self.axes["phi_i"][0]) if "phi_i" in self.axes else 0.0
+        if "phi_i" not in self.axes:
+            return self._integral_at(theta_i, 0.0, values)
+        azimuths = zip(self.axes["phi_i"], values, strict=True)
+        return np.stack([self._integral_at(theta_i, float(phi_i), outgoing) for phi_i, outgoing in azimuths])
+
+    def _integral_at(self, theta_i: float, phi_i: float, outgoing: Array) -> Array:
         rule = rules(self.bsdf, min(theta_i, 89.5), phi_i)[0]
         around = {name: axis for name, axis in self.axes.items() if name not in ("theta_i", "phi_i")}
-        outgoing = values[0] if "phi_i" in self.axes else values
         # Two incidences, because a table of one cannot be interpolated.
         axes = {"theta_i": np.array([theta_i, theta_i + 1e-6]), **around}
         read = table_nodes.interpolation(axes, np.stack([outgoing, outgoing]))

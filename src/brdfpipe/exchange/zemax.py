@@ -62,12 +62,12 @@ def write(bsdf: xr.Dataset, path: Path, *, colour: bool = False, **grid: Any) ->
         )
     channels = gridded.tristimulus(bsdf) if colour else gridded.photopic(bsdf)
     table = gridded.gridded(bsdf, "specular", channels, **grid)
-    record = records.record(table, FORMAT)
+    record, blocks = records.record(table, FORMAT), list(table.blocks())
     with store.atomic_path(path) as temporary, temporary.open("wb") as file:
         file.writelines(_header(table, records.sentences(record), colour))
         for channel, block in enumerate(_BLOCKS["xyz" if colour else "monochrome"]):
             file.write(f"{block}\nDataBegin\n".encode())
-            file.writelines(_data(table, channel))
+            file.writelines(_data(table, blocks, channel))
             file.write(b"DataEnd\n")
     return record
 
@@ -89,12 +89,14 @@ def _header(table: gridded.Gridded, notes: list[str], colour: bool) -> Iterator[
     yield b"\n"
 
 
-def _data(table: gridded.Gridded, channel: int) -> Iterator[bytes]:
+def _data(table: gridded.Gridded, blocks: list[tuple[float, Array, Array]], channel: int) -> Iterator[bytes]:
     """Blocks by rotation and incidence; rows by azimuth."""
-    for rotation in range(table.axes["phi_i"].size if "phi_i" in table.axes else 1):
-        for _, values, integral in table.blocks():
-            block = values[rotation, ..., channel] if "phi_i" in table.axes else values[..., channel]
-            yield f"TIS {integral[channel]:.6f}\n".encode() + number_text.rows(np.maximum(block.T, 0.0))
+    with_lay = "phi_i" in table.axes
+    for rotation in range(table.axes["phi_i"].size if with_lay else 1):
+        for _, of_incidence, reflectance in blocks:
+            values, tis = (of_incidence[rotation], reflectance[rotation]) if with_lay else (of_incidence, reflectance)
+            block = np.maximum(values[..., channel].T, 0.0)
+            yield f"TIS {tis[channel]:.6f}\n".encode() + number_text.rows(block)
 
 
 def read(path: Path) -> ReadTable:
