@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import mimetypes
 from pathlib import Path
 
 import pytest
 
 from brdfpipe.errors import InputError
-from brdfpipe.file_formats import FileFormat, extensions, format_of
+from brdfpipe.file_formats import FileFormat, extensions, format_of, media_type
 
 FORMATS = {
     "table": FileFormat("table", (".txt", ".csv"), "numbers"),
@@ -43,3 +44,9 @@ def test_extensions_of_all_formats_are_sorted() -> None:
 def test_an_unknown_format_is_refused_with_the_known_ones(file: str, name: str | None, message: str) -> None:
     with pytest.raises(InputError, match=message):
         format_of(Path(file), name, FORMATS, "spectrum.format")
+
+
+def test_media_types_do_not_depend_on_the_machine(monkeypatch) -> None:
+    monkeypatch.setitem(mimetypes.types_map, ".csv", "application/machine")
+    found = [media_type(name) for name in ("a/b.nc", "c.CSV", "d.astm", "README.txt", "scan.sur")]
+    assert found == ["application/x-netcdf", "text/csv", "text/plain", "text/plain", "application/octet-stream"]

@@ -6,9 +6,11 @@ another kind, without an error.
 
 from __future__ import annotations
 
+import mimetypes
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
+from functools import cache
+from pathlib import Path, PurePosixPath
 from typing import TypeVar
 
 from brdfpipe.errors import InputError
@@ -48,3 +50,20 @@ def format_of(path: Path, name: str | None, formats: Mapping[str, AnyFormat], ke
             return known
     found, accepted = path.suffix or "no extension", f"{', '.join(extensions(formats))}; or set the format"
     raise InputError(path, "unknown file extension", found=found, accepted=accepted, key=key)
+
+
+def media_type(name: str) -> str:
+    """The media type (RFC 6838) of a file, by its extension; ``application/octet-stream`` of an unknown one."""
+    return _media_types().get(PurePosixPath(name).suffix.lower(), "application/octet-stream")
+
+
+@cache
+def _media_types() -> dict[str, str]:
+    # Those of Python: `mimetypes.types_map` may hold those of the machine, which differ.
+    return mimetypes.MimeTypes().types_map[True] | {
+        ".astm": "text/plain",
+        ".brdf": "text/plain",
+        ".lock": "text/plain",
+        ".nc": "application/x-netcdf",
+        ".yaml": "application/yaml",
+    }

@@ -8,17 +8,16 @@ RO-Crate Metadata Specification 1.1 (https://w3id.org/ro/crate/1.1). DataCite Me
 
 from __future__ import annotations
 
-import mimetypes
 from collections.abc import Iterable, Mapping
 from pathlib import PurePosixPath
 from typing import Any, NamedTuple
 from urllib.parse import quote
 
+from brdfpipe.file_formats import media_type
+
 PROFILE = "https://w3id.org/ro/crate/1.1"
 METADATA = "ro-crate-metadata.json"
 README = "README.txt"
-
-_FORMATS = {".nc": "application/x-netcdf", ".yaml": "application/yaml", ".lock": "text/plain", ".brdf": "text/plain"}
 
 
 class Part(NamedTuple):
@@ -83,14 +82,12 @@ def crate(release: Mapping[str, Any], parts: Iterable[Part], materials: Mapping[
 
 
 def _file(part: Part) -> dict[str, Any]:
-    suffix = PurePosixPath(part.name).suffix.lower()
-    kind = _FORMATS.get(suffix) or mimetypes.types_map.get(suffix, "application/octet-stream")
     return {
         "@id": quote(part.name),
         "@type": "File",
         "name": PurePosixPath(part.name).name,
         "contentSize": str(part.size),
-        "encodingFormat": kind,
+        "encodingFormat": media_type(part.name),
         "sha256": part.sha256,
     }
 

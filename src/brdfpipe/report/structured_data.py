@@ -10,18 +10,16 @@ from __future__ import annotations
 
 import json
 import math
-import mimetypes
 from collections.abc import Iterable, Mapping
-from pathlib import PurePosixPath
 from typing import Any
 
 import xarray as xr
 from markupsafe import Markup
 
 from brdfpipe.appearance.quantities import quantities
+from brdfpipe.file_formats import media_type
 
 _CONTEXT = "https://schema.org"
-_NETCDF = {".nc": "application/x-netcdf"}
 
 
 def of_material(
@@ -89,9 +87,7 @@ def _dataset(name: str, description: str) -> dict[str, Any]:
 
 
 def _download(path: str) -> dict[str, str]:
-    suffix = PurePosixPath(path).suffix
-    kind = _NETCDF.get(suffix) or mimetypes.types_map.get(suffix, "text/plain")
-    return {"@type": "DataDownload", "contentUrl": path, "encodingFormat": kind}
+    return {"@type": "DataDownload", "contentUrl": path, "encodingFormat": media_type(path)}
 
 
 def _markup(content: Mapping[str, Any]) -> Markup:
