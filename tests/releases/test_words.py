@@ -43,6 +43,16 @@ def test_differences_below_the_digits_of_the_table_are_left_to_the_json() -> Non
     assert plain([noise])[0]["colour"] == 1e-6
 
 
+def test_a_change_of_sign_below_the_digits_is_no_difference() -> None:
+    noise = Difference("black", "", "changed", quantities={"haze": (-0.01, 0.01)})
+    assert lines([noise])[1] == "  black: nothing differs within the digits of the table"
+
+
+def test_a_change_of_a_lobe_that_few_directions_see_is_named() -> None:
+    narrow = Difference("black", "", "changed", brdf={"rms": 0.08, "percentile_95": 0.0, "albedo": 0.0})
+    assert lines([narrow])[1] == "  black: BRDF 8.00% rms, 0.00% at the 95th percentile"
+
+
 def test_the_first_further_quantities_are_named_and_the_others_counted() -> None:
     names = ("haze", "gloss_60_u", "warning_count", "another", "one more")
     many = Difference("black", "", "changed", quantities=dict.fromkeys(names, (1.0, 2.0)))

@@ -57,7 +57,8 @@ def findings(item: Difference) -> Iterator[str]:
         yield f"ΔE00 {item.colour:.3g}"
     changes = {name: change for name, values in item.quantities.items() if (change := _change(name, *values))}
     yield from (f"{name} {changes[name]}" for name in _GLOSS if name in changes)
-    if item.brdf.get("percentile_95", 0) >= _LEAST_BRDF:
+    # The light of a narrow lobe may change while fewer than 5 % of the directions do.
+    if max(item.brdf.get("rms", 0), item.brdf.get("percentile_95", 0)) >= _LEAST_BRDF:
         yield f"BRDF {item.brdf['rms']:.2%} rms, {item.brdf['percentile_95']:.2%} at the 95th percentile"
     if item.verdict[0] != item.verdict[1]:
         yield f"verdict {item.verdict[0] or 'none'} → {item.verdict[1] or 'none'}"
@@ -86,4 +87,4 @@ def _digits(name: str, value: float | None) -> str:
     if name in {one.u_name for one in (*quantities(), *quantities_on_request())}:
         return f"{value:.2g}"
     decimals = next((one.decimals for one in (*quantities(), *quantities_on_request()) if one.name == name), None)
-    return f"{value:.4g}" if decimals is None else f"{value:.{decimals}f}"
+    return f"{value:.4g}" if decimals is None else f"{value:z.{decimals}f}"
