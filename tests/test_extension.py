@@ -256,7 +256,12 @@ def schema(folder: Path) -> dict[str, dict[str, object]]:
 
 def test_a_format_is_one_module(extended: Path) -> None:
     assert (extended / "results" / "m" / "exports" / "m.toy.txt").read_text() == "wavelengths: 41"
-    assert schema(extended)["Material"]["properties"]["exports"]["items"]["enum"] == ["astm", "toy-text", "zemax"]
+    assert schema(extended)["Material"]["properties"]["exports"]["items"]["enum"] == [
+        "astm",
+        "mdl",
+        "toy-text",
+        "zemax",
+    ]
     stages = (extended / "docs" / "stages.md").read_text()
     row = "| `toy-text` | the number of wavelengths, as text | `<material>.toy.txt` | reflection | no | bsdf | `greeting`: wavelengths: |"
     assert row in stages

@@ -70,9 +70,16 @@ class Gridded:
     error: TableError
     within_tolerance: bool
 
+    reading = "interpolated linearly"
+
     @property
     def channel_count(self) -> int:
         return len(self.channels.names)
+
+    @property
+    def size(self) -> int:
+        """Number of values of all channels."""
+        return int(np.prod([axis.size for axis in self.axes.values()])) * self.channel_count
 
     @cached_property
     def _axis(self) -> int:
@@ -130,12 +137,17 @@ def gridded(
     ------
     ExchangeError : a tolerance or the number of nodes is out of range.
     """
-    for name, value in (("tolerance", tolerance), ("albedo_tolerance", albedo_tolerance)):
-        if not 0 < value <= 1:
-            raise ExchangeError(f"{name} is {value!r}; accepted: above 0, at most 1")
-    if largest < 27:
-        raise ExchangeError(f"largest is {largest!r}; accepted: at least 27 values")
+    check_limits(tolerance, albedo_tolerance, largest, least=27)
     choice = table_nodes.choose_nodes(
         nonspectral(bsdf), layout, tolerance=tolerance, albedo_tolerance=albedo_tolerance, largest=largest
     )
     return Gridded(bsdf, layout, choice.axes, channels, choice.factor, choice.error, choice.within_tolerance)
+
+
+def check_limits(tolerance: float, albedo_tolerance: float, largest: int, *, least: int) -> None:
+    """Raise an ExchangeError if a limit of the error, or of the number of values, is out of range."""
+    for name, value in (("tolerance", tolerance), ("albedo_tolerance", albedo_tolerance)):
+        if not 0 < value <= 1:
+            raise ExchangeError(f"{name} is {value!r}; accepted: above 0, at most 1")
+    if largest < least:
+        raise ExchangeError(f"largest is {largest!r}; accepted: at least {least} values")

@@ -62,7 +62,8 @@ def format_of(path: Path, name: str | None = None) -> Format:
     file_name = path.name.lower()
     matches = []
     for known in readable.values():
-        ends = any(file_name.endswith(Path(suffix).suffix) for side in known.files for suffix in known.suffixes(side))
+        written = [suffix for side in known.files.values() for group in side.values() for suffix in group]
+        ends = any(file_name.endswith(Path(f"name{suffix}").suffix) for suffix in written)
         if ends and (not known.begins or any(word.encode() in beginning for word in known.begins)):
             matches.append(known)
     if len(matches) == 1:

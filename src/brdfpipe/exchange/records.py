@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import xarray as xr
@@ -10,7 +10,7 @@ import xarray as xr
 from brdfpipe.bsdf.base import Representation
 from brdfpipe.bsdf.registry import representation
 from brdfpipe.bsdf.source_changes import uncertain
-from brdfpipe.exchange.gridded import Gridded
+from brdfpipe.bsdf.table_error import TableError
 from brdfpipe.exchange.registry import Format
 
 Record = dict[str, Any]
@@ -21,19 +21,41 @@ _STATED_AT = np.array([0.0, 20.0, 45.0, 60.0, 75.0])
 """Incidences at which the share of light in a single direction is stated [degree]."""
 
 
-def record(table: Gridded, format: Format) -> Record:
+class Exported(Protocol):
+    """A table of a BSDF."""
+
+    @property
+    def bsdf(self) -> xr.Dataset: ...
+    @property
+    def error(self) -> TableError: ...
+    @property
+    def reading(self) -> str:
+        """What the program does that reads the table, ``interpolated linearly``"""
+
+    @property
+    def within_tolerance(self) -> bool | None:
+        """None where a format leaves nothing to choose."""
+
+    @property
+    def size(self) -> int: ...
+    @property
+    def channel_count(self) -> int: ...
+
+
+def record(table: Exported, format: Format) -> Record:
     """Material, digest, error and losses of a table."""
     bsdf, error = table.bsdf, table.error
     return {
         "material": str(bsdf.attrs.get("material", "unnamed")),
         "digest": str(bsdf.attrs.get("digest", "unknown")),
-        "values": int(np.prod([axis.size for axis in table.axes.values()])) * table.channel_count,
+        "values": table.size,
         "error": {
             "percentile_95": _digits(error.percentile_95),
             "rms": _digits(error.rms),
             "albedo": _digits(error.albedo),
             "directions": error.directions,
-            "within_tolerance": table.within_tolerance,
+            "reading": table.reading,
+            **({} if table.within_tolerance is None else {"within_tolerance": table.within_tolerance}),
         },
         "left_out": left_out(bsdf, format, table.channel_count),
     }
@@ -43,13 +65,13 @@ def sentences(record: Record) -> list[str]:
     """The record in words, for comments of a file."""
     error = record["error"]
     stated = (
-        f"error of this table, interpolated linearly at {error['directions']} directions off its nodes: {error['percentile_95']:.2%} of "
+        f"error of this table, {error['reading']} at {error['directions']} directions off its nodes: {error['percentile_95']:.2%} of "
         f"BRDF cos theta_o at the 95th percentile, {error['albedo']:.2%} of the directional reflectance"
     )
     return [
         f"brdfpipe: {record['material']}, digest of the BSDF {record['digest']}",
         "BRDF in sr-1, not multiplied by the cosine",
-        stated if error["within_tolerance"] else f"{stated}; that is MORE than the tolerance asked for",
+        stated if error.get("within_tolerance", True) else f"{stated}; that is MORE than the tolerance asked for",
         *(f"NOT in this file: {text}" for text in record["left_out"].values()),
     ]
 

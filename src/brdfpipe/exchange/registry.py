@@ -66,7 +66,8 @@ class Format:
     without transmission has the files of ``reflection`` alone; a format with both sides in one file declares it there."""
     takes: str = "bsdf"
     """``bsdf``: the writers take the BSDF; ``table``: they take the BSDF and, as keyword ``table``, the table of the material; ``grid``:
-    they take the BSDF and :data:`GRID_OPTIONS`, and return a record that is written beside each file, with the suffix ``.json``."""
+    they take the BSDF and :data:`GRID_OPTIONS`, and return a record that is written beside each file, with the suffix ``.json``;
+    ``cells``: the same without these options, because the format fixes its cells."""
     carries: tuple[str, ...] = ()
     """What survives, of :data:`PROPERTIES`."""
     read: str = ""
@@ -83,10 +84,15 @@ class Format:
         """Name of the format's module."""
         return f"{__package__}.{self.name.replace('-', '_')}"
 
+    @property
+    def has_record(self) -> bool:
+        """Whether a record stands beside each file."""
+        return self.takes in ("grid", "cells")
+
     def suffixes(self, side: str) -> list[str]:
         """Suffixes of the files of one side, the main one first."""
         named = [suffix for group in self.files[side].values() for suffix in group]
-        return [*named, *(f"{suffix}{RECORD}" for suffix in named)] if self.takes == "grid" else named
+        return [*named, *(f"{suffix}{RECORD}" for suffix in named)] if self.has_record else named
 
     def write(self, bsdf: xr.Dataset, stem: str | os.PathLike[str], side: str = "reflection", **keywords: Any) -> None:
         """Write all files of one side: ``stem`` and the suffixes of the format.
@@ -101,7 +107,7 @@ class Format:
     def run(self, writer: str, bsdf: xr.Dataset, path: str | os.PathLike[str], keywords: Mapping[str, Any]) -> None:
         """Call one of the writers, and write the record that it returns beside the file."""
         record = self.function(writer)(bsdf, Path(path), **self.keywords(keywords))
-        if self.takes == "grid":
+        if self.has_record:
             record = {"format": self.name, "file": Path(path).name, **record}
             store.write_text(f"{path}{RECORD}", json.dumps(record, indent=1, ensure_ascii=False, sort_keys=True) + "\n")
 
