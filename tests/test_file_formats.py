@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from brdfpipe import file_formats
 from brdfpipe.errors import InputError
 from brdfpipe.file_formats import FileFormat, extensions, format_of, media_type
 
@@ -46,7 +47,11 @@ def test_an_unknown_format_is_refused_with_the_known_ones(file: str, name: str |
         format_of(Path(file), name, FORMATS, "spectrum.format")
 
 
-def test_media_types_do_not_depend_on_the_machine(monkeypatch) -> None:
-    monkeypatch.setitem(mimetypes.types_map, ".csv", "application/machine")
+def test_media_types_do_not_depend_on_the_machine(tmp_path, request) -> None:
+    (tmp_path / "mime.types").write_text("application/machine csv sur\n")
+    request.addfinalizer(mimetypes.init)
+    mimetypes.init([str(tmp_path / "mime.types")])
+    assert mimetypes.types_map[".csv"] == "application/machine"
+    file_formats._media_types.cache_clear()
     found = [media_type(name) for name in ("a/b.nc", "c.CSV", "d.astm", "README.txt", "scan.sur")]
     assert found == ["application/x-netcdf", "text/csv", "text/plain", "text/plain", "application/octet-stream"]
