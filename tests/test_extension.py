@@ -258,6 +258,7 @@ def test_a_format_is_one_module(extended: Path) -> None:
     assert (extended / "results" / "m" / "exports" / "m.toy.txt").read_text() == "wavelengths: 41"
     assert schema(extended)["Material"]["properties"]["exports"]["items"]["enum"] == [
         "astm",
+        "integra",
         "mdl",
         "toy-text",
         "zemax",

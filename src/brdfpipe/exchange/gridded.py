@@ -101,9 +101,10 @@ class Gridded:
         """θ_i [degree], values (other axes…, channels) [sr-1], and the reflectance ([phi_i,] channels) of the table's own interpolation, by incidence."""
         for row, theta_i in enumerate(self.axes["theta_i"]):
             values = self.block(row)
-            yield float(theta_i), values, self._integral(float(theta_i), values)
+            yield float(theta_i), values, self.integral(float(theta_i), values)
 
-    def _integral(self, theta_i: float, values: Array) -> Array:
+    def integral(self, theta_i: float, values: Array) -> Array:
+        """Reflectance ([phi_i,] channels) of the values of one incidence θ_i [degree], by the table's own interpolation."""
         if "phi_i" not in self.axes:
             return self._integral_at(theta_i, 0.0, values)
         azimuths = zip(self.axes["phi_i"], values, strict=True)

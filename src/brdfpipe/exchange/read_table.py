@@ -79,6 +79,10 @@ def as_bsdf(read: ReadTable, path: Path) -> xr.Dataset:
         if axis.size > 1 and not (np.diff(axis) > 0).all():
             at = int(np.flatnonzero(np.diff(axis) <= 0)[0])
             raise InputError(path, f"the angles {name} do not increase", found=f"{axis[at + 1]:g} after {axis[at]:g}")
+        low, high = (0, 180) if name.startswith("theta") else (-360, 720)
+        if axis[0] < low or axis[-1] > high:
+            found, accepted = f"{axis[0]:g} to {axis[-1]:g}", f"{low} to {high} degree"
+            raise InputError(path, f"the angles {name} are out of range", found=found, accepted=accepted)
     values, quality, warnings = _completed(_as_brdf(read), read, path)
     read, values, quality = _with_two_nodes(read, values, quality)
     names = tuple(read.axes)

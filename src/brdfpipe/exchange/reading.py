@@ -12,7 +12,7 @@ from brdfpipe.errors import InputError
 from brdfpipe.exchange.read_table import QUANTITIES, as_bsdf
 from brdfpipe.exchange.registry import FORMATS, Format
 
-_BEGINNING = 4096
+_BEGINNING = 2**16
 """Bytes in which the word of a format is searched."""
 
 
@@ -58,7 +58,8 @@ def format_of(path: Path, name: str | None = None) -> Format:
             )
         return readable[name]
     with path.open("rb") as file:
-        beginning = file.read(_BEGINNING)
+        # With a line end before the first line, a word may stand for the beginning of any line.
+        beginning = b"\n" + file.read(_BEGINNING)
     file_name = path.name.lower()
     matches = []
     for known in readable.values():

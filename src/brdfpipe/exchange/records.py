@@ -61,8 +61,8 @@ def record(table: Exported, format: Format) -> Record:
     }
 
 
-def sentences(record: Record) -> list[str]:
-    """The record in words, for comments of a file."""
+def sentences(record: Record, values: str = "BRDF in sr-1, not multiplied by the cosine") -> list[str]:
+    """The record in words, for comments of a file; ``values`` says what its numbers are."""
     error = record["error"]
     stated = (
         f"error of this table, {error['reading']} at {error['directions']} directions off its nodes: {error['percentile_95']:.2%} of "
@@ -70,7 +70,7 @@ def sentences(record: Record) -> list[str]:
     )
     return [
         f"brdfpipe: {record['material']}, digest of the BSDF {record['digest']}",
-        "BRDF in sr-1, not multiplied by the cosine",
+        values,
         stated if error.get("within_tolerance", True) else f"{stated}; that is MORE than the tolerance asked for",
         *(f"NOT in this file: {text}" for text in record["left_out"].values()),
     ]

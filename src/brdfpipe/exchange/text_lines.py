@@ -14,9 +14,9 @@ LARGEST_FILE = 512 * 2**20
 
 
 class Lines:
-    """Lines of a file, without blank lines and comments."""
+    """Lines of a file, without blank lines and comments, and without a number of lines at its beginning."""
 
-    def __init__(self, path: Path, comment: str = "#") -> None:
+    def __init__(self, path: Path, comment: str = "#", skip: int = 0) -> None:
         if path.stat().st_size > LARGEST_FILE:
             accepted = f"at most {LARGEST_FILE >> 20} MiB"
             raise InputError(path, "the file is too large", found=f"{path.stat().st_size >> 20} MiB", accepted=accepted)
@@ -24,9 +24,13 @@ class Lines:
         if "\0" in text:
             raise InputError(path, "not a text file", found="a null character", accepted="text")
         self._path = path
-        self.comments = [line[len(comment) :].strip() for line in text.splitlines() if line.startswith(comment)]
-        numbered = enumerate(text.splitlines(), start=1)
-        self._lines = [(n, line.strip()) for n, line in numbered if line.strip() and not line.startswith(comment)]
+        self.comments = [
+            line.strip()[len(comment) :].strip() for line in text.splitlines() if line.lstrip().startswith(comment)
+        ]
+        numbered = list(enumerate(text.splitlines(), start=1))[skip:]
+        self._lines = [
+            (n, line.strip()) for n, line in numbered if line.strip() and not line.lstrip().startswith(comment)
+        ]
         self._at = 0
 
     def next(self, wanted: str) -> str:
@@ -47,6 +51,9 @@ class Lines:
         words = self.next(f"{count} numbers ({wanted})").replace(",", " ").split()
         if len(words) != count:
             raise self.error(f"wrong number of {wanted}", found=f"{len(words)} numbers", accepted=f"{count}")
+        return self._finite(words)
+
+    def _finite(self, words: list[str]) -> Array:
         try:
             values = np.array(words, dtype=float)
         except ValueError as error:
@@ -54,6 +61,15 @@ class Lines:
         if not np.isfinite(values).all():
             raise self.error("a number is not finite", found=f"{values[~np.isfinite(values)][0]:g}")
         return values
+
+    def gathered(self, count: int, wanted: str, begun: str = "") -> Array:
+        """Numbers that may go on over several lines, after those that the present line begins with."""
+        words = begun.replace(",", " ").split()
+        while len(words) < count:
+            words += self.next(f"{count} numbers ({wanted})").replace(",", " ").split()
+        if len(words) > count:
+            raise self.error(f"wrong number of {wanted}", found=f"{len(words)} numbers", accepted=f"{count}")
+        return self._finite(words)
 
     def number(self, word: str) -> float:
         """A number of the present line."""

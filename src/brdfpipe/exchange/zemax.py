@@ -33,7 +33,7 @@ FORMAT = Format(
     carries=("lay", "colour"),
     options={"colour": False},
     read="read",
-    begins=("Source",),
+    begins=("\nSource",),
 )
 
 _LONGEST_NAME = 60
@@ -75,7 +75,8 @@ def write(bsdf: xr.Dataset, path: Path, *, colour: bool = False, **grid: Any) ->
 def _header(table: gridded.Gridded, notes: list[str], colour: bool) -> Iterator[bytes]:
     rotations = table.axes.get("phi_i", np.zeros(1))
     yield "".join(f"# {note}\n" for note in notes).encode("ascii", "replace")
-    symmetry = "ASymmetrical4D" if "phi_i" in table.axes else "PlaneSymmetrical"
+    symmetry = "PlaneSymmetrical" if table.axes["phi_s"][-1] <= 180 else "ASymmetrical"
+    symmetry = "ASymmetrical4D" if "phi_i" in table.axes else symmetry
     content = "XYZ" if colour else "Monochrome"
     yield f"Source  Measured\nSymmetry  {symmetry}\nSpectralContent  {content}\nScatterType  BRDF\n".encode()
     lists = {
