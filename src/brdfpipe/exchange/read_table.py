@@ -119,7 +119,10 @@ def _as_brdf(read: ReadTable) -> Array:
 def _completed(values: Array, read: ReadTable, path: Path) -> tuple[Array, NDArray[np.int8], list[str]]:
     """Values at all cells, their quality (axes…), and warnings."""
     quality = np.zeros(values.shape[:-1], dtype=np.int8)
-    above = np.broadcast_to(_directions(read)[2] <= 90, quality.shape) if read.layout == "specular" else quality == 0
+    theta_i, _, theta_o, _ = _directions(read)
+    above = (
+        np.broadcast_to((theta_i <= 90) & (theta_o <= 90), quality.shape) if read.layout != "uniform" else quality == 0
+    )
     missing = np.asarray(np.isnan(values).any(axis=-1))
     if read.zero_is_missing:
         missing |= (values == 0).all(axis=-1)
