@@ -94,6 +94,17 @@ def test_folders_that_cannot_be_compared_are_refused(tmp_path: Path, release: Re
         differences(folder, tmp_path / "other")
 
 
+def test_a_table_of_earlier_results_is_refused(release: Release, plastic: Plastic) -> None:
+    folder = release("new", {"black": plastic(), "grey": plastic("grey")})
+    summary = folder / "grey" / "summary.nc"
+    # As after a build of `grey` alone: first with the results of the table, then with others.
+    store.save_dataset(summarise(plastic("grey")), summary, stage="summary", material="grey")
+    assert {difference.status for difference in differences(folder, folder)} == {"unchanged"}
+    store.save_dataset(summarise(plastic("grey", a=0.2)), summary, stage="summary", material="grey")
+    with pytest.raises(BrdfpipeError, match="grey built again after the table of the catalogue"):
+        differences(folder, folder)
+
+
 @pytest.mark.parametrize("content", [b"material\nblack\n", b"\xff", b"material,status\nblack,failed\n", b"a" * 200_000])
 def test_a_damaged_table_is_one_error(release: Release, plastic: Plastic, content: bytes) -> None:
     folder = release("old", {"black": plastic()})

@@ -13,7 +13,7 @@ import numpy as np
 import xarray as xr
 
 from brdfpipe import store
-from brdfpipe.errors import BrdfpipeError
+from brdfpipe.errors import BrdfpipeError, abbreviated
 from brdfpipe.releases.causes import Cause, causes
 from brdfpipe.releases.provenance import of_material
 
@@ -73,7 +73,10 @@ def differences(old: Releases, new: Releases) -> list[Difference]:
 
 
 def read_releases(results: Path) -> Releases:
-    """The results of a build by scene, the default one first. Raises BrdfpipeError: there are none, or a table is damaged."""
+    """The results of a build by scene, the default one first.
+
+    Raises BrdfpipeError: there are none, or a table is damaged, or of earlier results.
+    """
     return {scene: Release(results, scene) for scene in scene_folders(results)}
 
 
@@ -103,10 +106,28 @@ class Release:
                         self.failures[line["material"]] = f"{line['stage']}: {line['message']}"
         except (KeyError, ValueError, csv.Error) as error:
             raise BrdfpipeError(f"{folder / 'catalogue.csv'}: damaged; run `brdfpipe build`") from error
+        if later := sorted(name for name in self.rows if self._was_built_later(name)):
+            raise BrdfpipeError(
+                f"{folder}: {abbreviated(later, 5)} built again after the table of the catalogue, which a build of some materials alone does "
+                "not make; run `brdfpipe build` without names"
+            )
 
     @property
     def names(self) -> set[str]:
         return self.rows.keys() | self.failures.keys()
+
+    def _was_built_later(self, name: str) -> bool:
+        """Whether the results of a material are not those of the table."""
+        folder = self.results / self.scene_folder
+        summary = folder / name / "summary.nc"
+        # Times tell where reading is worthwhile; after a copy they may be in any order.
+        if not summary.is_file() or summary.stat().st_mtime_ns <= (folder / "catalogue.nc").stat().st_mtime_ns:
+            return False
+        try:
+            row = store.open_dataset(summary)
+        except BrdfpipeError:  # `brdfpipe verify` finds damage
+            return False
+        return "digests" in row and json.loads(row["digests"].values.item()) != self.digests(name)
 
     def digests(self, name: str) -> Any:
         return json.loads(str(self.rows[name]["digests"].values))
