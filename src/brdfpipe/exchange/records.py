@@ -61,6 +61,13 @@ def record(table: Exported, format: Format) -> Record:
     }
 
 
+def comment(bsdf: xr.Dataset) -> str:
+    """Material and digest in one line."""
+    return (
+        f"brdfpipe: {bsdf.attrs.get('material', 'unnamed')}, digest of the BSDF {bsdf.attrs.get('digest', 'unknown')}"
+    )
+
+
 def sentences(record: Record, values: str = "BRDF in sr-1, not multiplied by the cosine") -> list[str]:
     """The record in words, for comments of a file; ``values`` says what its numbers are."""
     error = record["error"]
