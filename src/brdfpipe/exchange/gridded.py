@@ -6,7 +6,7 @@ Every table states three things in and beside its file: the error of the table, 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -96,6 +96,13 @@ class Gridded:
         values = values_on_nodes(evaluate, GRIDS[self.layout], axes, False, model.mirror_symmetric)
         factor = np.take(self.factor, [row], axis=self._axis) if self.factor.shape[self._axis] > 1 else self.factor
         return np.asarray((values * factor).take(0, axis=self._axis))
+
+    def reflecting_side(self) -> Gridded:
+        """A uniform table without the directions below the surface."""
+        polar, axis = self.axes["theta_o"], list(self.axes).index("theta_o")
+        above = polar <= 90
+        factor = self.factor.compress(above, axis=axis) if self.factor.shape[axis] == polar.size else self.factor
+        return replace(self, axes={**self.axes, "theta_o": polar[above]}, factor=factor)
 
     def blocks(self) -> Iterator[tuple[float, Array, Array]]:
         """θ_i [degree], values (other axes…, channels) [sr-1], and the reflectance ([phi_i,] channels) of the table's own interpolation, by incidence."""
