@@ -84,3 +84,11 @@ def test_half_of_the_directions_are_where_the_light_goes(glossy):
     # A lobe of slope 0.1 reaches 0.4 in direction cosines; it holds an eighth of an even spread at most.
     assert (away < 0.4).mean() > 0.2
     assert (away > 0.8).mean() > 0.2
+
+
+def test_fewer_values_than_a_table_of_a_lay_has_are_refused():
+    brushed = samples.brushed_bsdf(0.3, 0.15).bsdf.nonspectral()
+    assert table_nodes.smallest_table(brushed, "specular") == 81
+    with pytest.raises(ValueError, match="at least 81 values; found 80"):
+        table_nodes.choose_nodes(brushed, "specular", largest=80)
+    assert table_nodes.choose_nodes(brushed, "specular", largest=81).values.size == 81

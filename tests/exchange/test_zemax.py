@@ -117,6 +117,11 @@ def test_tis_of_every_rotation_is_the_reflectance_along_its_azimuth(tmp_path):
     assert tis.reshape(rotation.size, aoi.size)[:, row] == pytest.approx(albedo, rel=0.05)
 
 
+def test_fewer_values_than_a_lay_needs_are_refused(tmp_path):
+    with pytest.raises(ExchangeError, match="largest is 80; accepted: at least 81"):
+        write(samples.brushed_bsdf(0.3, 0.15), tmp_path / "brushed.zemax.bsdf", largest=80)
+
+
 def test_a_long_name_is_refused(grey, tmp_path):
     with pytest.raises(ExchangeError, match="at most 60 characters"):
         write(grey, tmp_path / f"{'a' * 60}.zemax.bsdf")

@@ -45,7 +45,7 @@ _LINES = 96
 """Lines along each axis on which the curvature is taken."""
 _FINE = 1024
 """Points of a line."""
-_MOST_NODES = 720
+_FEWEST_NODES, _MOST_NODES = 3, 720
 _ATTEMPTS = 8
 _CHOICE_SEED, _TEST_SEED = 1, 2
 
@@ -98,7 +98,13 @@ def choose_nodes(
     Returns
     -------
     The axes of the smallest table found within both limits; if none has at most ``largest`` values, those of the most accurate one found.
+
+    Raises
+    ------
+    ValueError : ``largest`` is less than :func:`smallest_table`.
     """
+    if largest < smallest_table(bsdf, layout):
+        raise ValueError(f"a table has at least {smallest_table(bsdf, layout)} values; found {largest}")
     grid, model = GRIDS[layout], representation(bsdf)
     pairs = fresh_pairs(bsdf, _CHOICE_SEED)
     lines = {name: _line(bsdf, grid, name, pairs) for name in grid.named(not model.isotropic)}
@@ -128,6 +134,11 @@ def choose_nodes(
             parts["theta_i"] *= _change(of_albedo) / max(_change(excess), 1.0)
     assert best is not None
     return best
+
+
+def smallest_table(bsdf: xr.Dataset, layout: str) -> int:
+    """The least number of values of a table, at one wavelength."""
+    return int(_FEWEST_NODES ** len(GRIDS[layout].named(not representation(bsdf).isotropic)))
 
 
 def _change(excess: float) -> float:
@@ -221,7 +232,7 @@ def _size(axes: Mapping[str, Array]) -> int:
 def _nodes(line: _Line, tolerance: float) -> Array:
     """The fewest nodes whose interpolation along the axis errs by at most the tolerance at 95 % of the lines."""
     running = _running_density(line)
-    count = 3
+    count = _FEWEST_NODES
     while count < _MOST_NODES:
         nodes = np.interp(np.linspace(0.0, 1.0, count), running, line.at)
         if _percentile(line, nodes) <= tolerance:

@@ -145,7 +145,7 @@ def gridded(
     ------
     ExchangeError : a tolerance or the number of nodes is out of range.
     """
-    check_limits(tolerance, albedo_tolerance, largest, least=27)
+    check_limits(tolerance, albedo_tolerance, largest, least=table_nodes.smallest_table(bsdf, layout))
     choice = table_nodes.choose_nodes(
         nonspectral(bsdf), layout, tolerance=tolerance, albedo_tolerance=albedo_tolerance, largest=largest
     )
