@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import samples
+import xarray as xr
 
 from brdfpipe.bsdf.registry import representation
 from brdfpipe.bsdf.table_error import error_of, fresh_pairs
@@ -151,6 +152,12 @@ def test_a_file_that_contradicts_itself_is_refused_with_its_line(file, tmp_path,
     (tmp_path / "bad.bsdf").write_text(text.replace(old, new, 1))
     with pytest.raises(InputError, match=message):
         read(tmp_path / "bad.bsdf", "zemax")
+
+
+def test_tabs_separate_words_as_blanks_do(file, tmp_path):
+    lines = file.read_text().replace("  ", "\t").replace("TIS ", "TIS\t")
+    (tmp_path / "tabs.bsdf").write_text(lines)
+    xr.testing.assert_equal(read(tmp_path / "tabs.bsdf", "zemax"), read(file))
 
 
 def test_mutated_files_are_read_or_refused_and_never_crash(file, tmp_path):

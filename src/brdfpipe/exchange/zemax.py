@@ -115,12 +115,11 @@ def read(path: Path) -> ReadTable:
         "scatterradial": "theta_s",
     }
     while len(axes) < len(counted):
-        key, _, value = lines.next("a line of the header").partition(" ")
-        key = key.strip().lower()
+        key, value = _key_and_value(lines.next("a line of the header"))
         if key in counted:
             axes[counted[key]] = lines.numbers(lines.count(value, 4000), key)
         else:
-            header[key] = value.strip().lower()
+            header[key] = value.lower()
     cells = int(np.prod([axis.size for axis in axes.values()]))
     if cells > _MOST_CELLS:
         raise InputError(path, "the table is too large", found=f"{cells} cells", accepted=f"at most {_MOST_CELLS}")
@@ -138,8 +137,8 @@ def read(path: Path) -> ReadTable:
         lines.expect(block)
         lines.expect("DataBegin")
         for index in np.ndindex(shape[:2]):
-            word, _, value = lines.next("TIS").partition(" ")
-            if word.strip().lower() != "tis":
+            word, value = _key_and_value(lines.next("TIS"))
+            if word != "tis":
                 raise lines.error("a block of values begins with TIS", found=repr(word)[:40])
             tis[*index, channel] = lines.number(value)
             for row in range(shape[2]):
@@ -156,3 +155,9 @@ def read(path: Path) -> ReadTable:
         declared_integral=(tis if with_lay else tis[0]),
         zero_is_missing=True,
     )
+
+
+def _key_and_value(line: str) -> tuple[str, str]:
+    """The first word in small letters, and the rest; blanks or tabs are between them."""
+    words = line.split(maxsplit=1)
+    return words[0].lower(), "".join(words[1:])
