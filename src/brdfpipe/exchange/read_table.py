@@ -97,6 +97,8 @@ def as_bsdf(read: ReadTable, path: Path) -> xr.Dataset:
             table["brdf_xyz"] = (*names, "component"), xyz
             table = table.assign_coords(component=["X", "Y", "Z"]).assign_attrs(illuminant="D65", observer=2)
     table["brdf_quality"] = names, quality
+    if "theta_o" in read.axes and read.axes["theta_o"][-1] > 90:
+        table.attrs["transmission"] = "slab"
     table = vocabulary.label(table, "bsdf")
     warnings += _declared(read, table) + _reciprocity(table)
     return vocabulary.add_warning(vocabulary.add_history(table, *read.notes), *warnings)
