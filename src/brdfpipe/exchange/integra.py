@@ -22,11 +22,10 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from brdfpipe import store
-from brdfpipe.bsdf.approximation_error import brdf_at, directions
 from brdfpipe.errors import InputError
 from brdfpipe.exchange import gridded, number_text, records
 from brdfpipe.exchange.azimuths import circle, closed
-from brdfpipe.exchange.read_table import Channels, ReadTable, as_bsdf
+from brdfpipe.exchange.read_table import Channels, ReadTable
 from brdfpipe.exchange.registry import ExchangeError, Format
 from brdfpipe.exchange.text_lines import Lines
 from brdfpipe.geometry import Array
@@ -223,7 +222,7 @@ def _table(
         kbdf = closed(phi_i, kbdf, 0)[1]
     names = (("phi_i",) if with_lay else ()) + ("theta_i", "theta_s", "phi_s")
     kinds: dict[str, Channels] = {"bw": "photopic", "rgb": "rgb", "spectral": "spectral"}
-    read = ReadTable(
+    return ReadTable(
         "specular",
         {name: axes[name] for name in names},
         values if with_lay else values[0],
@@ -231,26 +230,6 @@ def _table(
         wavelength=wavelength if content == "spectral" else None,
         declared_integral=kbdf if with_lay else kbdf[0],
         quantity="brdf" if unit == "luminance" else "brdf_cos",
+        relative=relative,
+        notes=("relative values, on the scale of kbdf",) if relative else (),
     )
-    return _scaled(read, path) if relative else read
-
-
-def _scaled(read: ReadTable, path: Path) -> ReadTable:
-    """Relative values on the scale at which their integral is kbdf."""
-    assert read.declared_integral is not None
-    if np.isnan(read.declared_integral).any():
-        raise InputError(path, "relative values have no scale", found="no kbdf", accepted="kbdf of each channel")
-    channels = read.values.shape[-1]
-    # Wavelengths stand for the channels, so that colours are not converted.
-    stand_in = replace(read, channels="spectral", wavelength=np.arange(400.0, 400 + channels), declared_integral=None)
-    table = as_bsdf(stand_in, path)
-    kbdf = read.declared_integral.reshape(-1, *read.declared_integral.shape[-2:])
-    factor = np.ones_like(kbdf)
-    for azimuth, phi_i in enumerate(read.axes.get("phi_i", np.zeros(1))):
-        for row, theta_i in enumerate(read.axes["theta_i"]):
-            rule = directions(table, min(float(theta_i), 89.5), float(phi_i))
-            integral = rule.weight @ brdf_at(table, float(theta_i), float(phi_i), rule)
-            np.divide(kbdf[azimuth, row], integral, out=factor[azimuth, row], where=integral > 0)
-    factor = factor.reshape(*read.declared_integral.shape[:-1], 1, 1, channels)
-    note = "relative values: those of each incidence were scaled so that they reflect what kbdf says"
-    return replace(read, values=read.values * factor, notes=(*read.notes, note))

@@ -20,7 +20,7 @@ import xarray as xr
 from brdfpipe import store
 from brdfpipe.errors import InputError
 from brdfpipe.exchange import gridded, number_text, records
-from brdfpipe.exchange.azimuths import closed
+from brdfpipe.exchange.azimuths import closed, from_source_at, with_source_at
 from brdfpipe.exchange.read_table import Channels, ReadTable
 from brdfpipe.exchange.registry import Format
 from brdfpipe.exchange.text_lines import Lines
@@ -74,7 +74,7 @@ def _header(table: gridded.Gridded, notes: list[str], colour: bool) -> Iterator[
     symmetric = "phi_i" not in table.axes and table.axes["phi_o"][-1] <= 180
     yield f"Symmetry {'PlaneSymmetrical' if symmetric else 'Asymmetric'}\n".encode()
     yield f"SpectralContent {'XYZ' if colour else 'Monochrome'}\n".encode()
-    azimuth, _ = _about_source(table.axes["phi_o"], np.zeros((1, table.axes["phi_o"].size)))
+    azimuth, _ = with_source_at(_SOURCE, table.axes["phi_o"], np.zeros((1, table.axes["phi_o"].size)))
     for name, angles in (("ScatterAzimuth", azimuth), ("ScatterRadial", table.axes["theta_o"])):
         yield f"{name} {angles.size}\n{' '.join(f'{angle:g}' for angle in angles)}\n".encode()
     yield b"DataBegin\n"
@@ -87,24 +87,10 @@ def _data(table: gridded.Gridded, colour: bool) -> Iterator[bytes]:
         for number, phi_i in enumerate(table.axes["phi_i"] if with_lay else np.zeros(1)):
             values, tis = (of_incidence[number], reflectance[number]) if with_lay else (of_incidence, reflectance)
             for channel, name in enumerate(_TRISTIMULUS if colour else ("",)):
-                _, rows = _about_source(table.axes["phi_o"], np.maximum(values[..., channel], 0.0))
+                _, rows = with_source_at(_SOURCE, table.axes["phi_o"], np.maximum(values[..., channel], 0.0))
                 head = f"AOI {theta_i:g}\nPOI {phi_i:g}\nSide Front\nWavelength {_PHOTOPIC:g}\nScatterType BRDF\n"
                 head += f"TristimulusValue {name}\n" if colour else ""
                 yield f"{head}TIS {tis[channel]:.6f}\n".encode() + number_text.rows(rows.T, " ")
-
-
-def _about_source(phi_o: Array, values: Array) -> tuple[Array, Array]:
-    """Azimuths from 0 to 360 with the source at 90 degree, and the values (θ_o, φ_o) there; the nodes at 0 and 360 are interpolated."""
-    if phi_o[-1] <= 180:
-        phi_o, values = np.append(phi_o, 360 - phi_o[-2::-1]), np.concatenate([values, values[:, -2::-1]], axis=1)
-    last = 360 - _SOURCE
-    after = int(np.searchsorted(phi_o, last))
-    if phi_o[after] != last:
-        share = (last - phi_o[after - 1]) / (phi_o[after] - phi_o[after - 1])
-        between = (1 - share) * values[:, after - 1] + share * values[:, after]
-        phi_o, values = np.insert(phi_o, after, last), np.insert(values, after, between, axis=1)
-    azimuth = np.concatenate([phi_o[after:] - last, phi_o[1 : after + 1] + _SOURCE])
-    return azimuth, np.concatenate([values[:, after:], values[:, 1 : after + 1]], axis=1)
 
 
 class _Block(NamedTuple):
@@ -212,7 +198,7 @@ def _table(
         channel = block.tristimulus if colour else wavelength.index(block.wavelength)
         at = poi.index(block.poi), aoi.index(block.aoi)
         values[*at, ..., channel], tis[*at, channel] = of_block.T, declared[block]
-    phi_o, values = _about_incidence(axes["scatterazimuth"], values, path)
+    phi_o, values = from_source_at(_SOURCE, axes["scatterazimuth"], values, path)
     ordered = {"theta_i": np.array(aoi), "theta_o": axes["scatterradial"], "phi_o": phi_o}
     if with_lay := len(poi) > 1:
         azimuth = np.array(poi)
@@ -232,29 +218,3 @@ def _table(
         declared_integral=tis if with_lay else tis[0],
         notes=notes,
     )
-
-
-def _about_incidence(azimuth: Array, values: Array, path: Path) -> tuple[Array, Array]:
-    """φ_o relative to the azimuth of incidence, a circle, or half of it that is mirrored; values (…, φ_o, channels)."""
-    first, last = float(azimuth[0]), float(azimuth[-1])
-    if azimuth.size > 1 and not (np.diff(azimuth) > 0).all():
-        raise InputError(path, "the angles ScatterAzimuth do not increase", found=f"{first:g} to {last:g} degree")
-    if azimuth.size == 1:
-        return np.array([0.0, 180.0]), np.repeat(values, 2, axis=-2)
-    if last - first == 180 and (first - _SOURCE) % 360 == 0:
-        return azimuth - first, values
-    if last - first == 180 and (last - _SOURCE) % 360 == 0:
-        return last - azimuth[::-1], values[..., ::-1, :]
-    if not 180 < last - first <= 360:
-        found, accepted = (
-            f"{first:g} to {last:g} degree",
-            "a turn, or half of it from the source to the mirror direction",
-        )
-        raise InputError(path, "the azimuths are no circle", found=found, accepted=accepted)
-    azimuth, values = closed(azimuth, values, values.ndim - 2)
-    relative = (azimuth[:-1] - _SOURCE) % 360
-    order = np.argsort(relative)
-    order = np.append(order, order[0])
-    relative = relative[order]
-    relative[-1] += 360
-    return relative, values[..., order, :]

@@ -54,6 +54,9 @@ class ReadTable:
     """Whether 0 marks cells without a measurement"""
     quantity: str = "brdf"
     """Of :data:`QUANTITIES`"""
+    relative: bool = False
+    """Whether the values are proportional to the BRDF, on the scale of the declared integral; the scale of the first incidence that declares one holds
+    for those that declare none"""
     notes: tuple[str, ...] = ()
     """What the reader changed or assumed"""
 
@@ -69,7 +72,7 @@ def as_bsdf(read: ReadTable, path: Path) -> xr.Dataset:
     Returns
     -------
     Dataset of kind ``bsdf``, representation ``table``: ``brdf`` and its ``brdf_quality``, and ``brdf_xyz`` of a table with colours. Cells without a value
-    are interpolated within their incidence, between cells about the same distance from the lobe. Values are never rescaled: a declared integral that differs is a warning
+    are interpolated within their incidence, between cells about the same distance from the lobe. Values are never rescaled, unless they are relative: a declared integral that differs is a warning
 
     Raises
     ------
@@ -85,6 +88,9 @@ def as_bsdf(read: ReadTable, path: Path) -> xr.Dataset:
             raise InputError(path, f"the angles {name} are out of range", found=found, accepted=accepted)
     values, quality, warnings = _completed(_as_brdf(read), read, path)
     read, values, quality = _with_two_nodes(read, values, quality)
+    if read.relative:
+        values, scaled = _on_declared_scale(read, values, path)
+        warnings += scaled
     names = tuple(read.axes)
     table = xr.Dataset(coords=dict(read.axes), attrs={"representation": Table.name, "source_representation": "file"})
     if read.channels == "spectral":
@@ -190,6 +196,42 @@ def _with_two_nodes(
             note = f"the file has one angle {name}, {axis[0]:g} degree; other angles have its values"
             read = replace(read, notes=(*read.notes, note))
     return replace(read, axes=axes), values, quality
+
+
+def _on_declared_scale(read: ReadTable, values: Array, path: Path) -> tuple[Array, list[str]]:
+    """Relative values on the scale at which each channel of an incidence reflects what the file declares, and warnings."""
+    declared = np.full((1, 1, 1), np.nan) if read.declared_integral is None else read.declared_integral
+    declared = declared.reshape(-1, *declared.shape[-2:])
+    known = np.isfinite(declared).all(axis=-1)
+    if not known.any():
+        raise InputError(
+            path, "relative values have no scale", found="no reflectance", accepted="a reflectance of each channel"
+        )
+    # Wavelengths stand for the channels, so that colours are not converted.
+    stand_in = xr.Dataset(
+        {"brdf": ((*read.axes, "wavelength"), values)},
+        {**read.axes, "wavelength": np.arange(400.0, 400 + values.shape[-1])},
+        {"representation": Table.name},
+    )
+    azimuths = read.axes.get("phi_i", np.zeros(1))
+    factor = np.full(declared.shape, np.nan)
+    for azimuth, row in np.argwhere(known):
+        theta_i, phi_i = float(read.axes["theta_i"][row]), float(azimuths[azimuth])
+        rule = approximation_error.directions(stand_in, min(theta_i, 89.5), phi_i)
+        integral = rule.weight @ approximation_error.brdf_at(stand_in, theta_i, phi_i, rule)
+        factor[azimuth, row] = np.divide(
+            declared[azimuth, row], integral, out=np.ones_like(integral), where=integral > 0
+        )
+    factor[~known] = factor[known][0]
+    shape = declared.shape if "phi_i" in read.axes else declared.shape[1:]
+    scaled = values * factor.reshape(*shape[:-1], 1, 1, shape[-1])
+    if not np.isfinite(scaled).all():
+        raise InputError(path, "a value on the declared scale is not finite", accepted="numbers below 1e300")
+    positive = factor[known][factor[known] > 0]
+    if positive.size == 0 or positive.max() / positive.min() - 1 <= INTEGRAL_LIMIT:
+        return scaled, []
+    text = f"the values are proportional to the BRDF; those of each incidence were scaled to the declared reflectance, by {positive.min():.4g} to {positive.max():.4g}"
+    return scaled, [f"{text}: as these differ, the table may be too coarse for its lobe"]
 
 
 def _tristimulus(values: Array, channels: Channels) -> Array | None:
