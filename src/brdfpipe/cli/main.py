@@ -1,4 +1,5 @@
-"""The command line: ``brdfpipe build``, ``check``, ``diff``, ``verify``, ``release``, ``prune``, ``scenes`` and ``new``; the group ``rig`` is :mod:`brdfpipe.cli.rig`.
+"""The command line: ``brdfpipe build``, ``check``, ``diff``, ``verify``, ``release``, ``prune``, ``scenes`` and ``new``; ``convert`` and
+``compare`` are in :mod:`brdfpipe.cli.tables`, the group ``rig`` in :mod:`brdfpipe.cli.rig`.
 
 Exit codes: 0 every material was built (or is ok), 1 at least one was not, 2 the command, the catalogue or the configuration
 cannot be used, 130 interrupted, 143 terminated. The verdict of a material's checks changes it only with ``--fail-on``.
@@ -14,6 +15,7 @@ import click
 
 from brdfpipe.cli.console import FILE, FOLDER, PRESENT, exit_on_error
 from brdfpipe.cli.rig import rig
+from brdfpipe.cli.tables import compare, convert
 from brdfpipe.errors import BrdfpipeError, printable
 
 
@@ -277,7 +279,8 @@ def _cores() -> int:
     return os.cpu_count() or 1
 
 
-main.add_command(rig)
+for command in (convert, compare, rig):
+    main.add_command(command)
 
 if __name__ == "__main__":
     main()

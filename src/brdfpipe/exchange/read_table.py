@@ -22,9 +22,6 @@ from brdfpipe.spectra import colorimetry
 
 Channels = Literal["photopic", "xyz", "rgb", "spectral"]
 
-QUANTITIES = ("brdf", "brdf_cos", "pi_brdf")
-"""What the numbers of a table are: BRDF [sr-1], BRDF·cos θ_o [sr-1], or the reflectance factor π·BRDF."""
-
 INTEGRAL_LIMIT = 0.02
 """Relative difference between the declared integral of a table and its own above which it is warned of."""
 RECIPROCITY_LIMIT = 0.1
@@ -53,7 +50,7 @@ class ReadTable:
     zero_is_missing: bool = False
     """Whether 0 marks cells without a measurement"""
     quantity: str = "brdf"
-    """Of :data:`QUANTITIES`"""
+    """Of :data:`brdfpipe.exchange.registry.QUANTITIES`"""
     relative: bool = False
     """Whether the values are proportional to the BRDF, on the scale of the declared integral; the scale of the first incidence that declares one holds
     for those that declare none"""

@@ -9,8 +9,8 @@ from pathlib import Path
 import xarray as xr
 
 from brdfpipe.errors import InputError
-from brdfpipe.exchange.read_table import QUANTITIES, as_bsdf
-from brdfpipe.exchange.registry import FORMATS, Format
+from brdfpipe.exchange.read_table import as_bsdf
+from brdfpipe.exchange.registry import FORMATS, QUANTITIES, Format
 
 _BEGINNING = 2**16
 """Bytes in which the word of a format is searched."""

@@ -23,7 +23,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from brdfpipe import store
 from brdfpipe.errors import BrdfpipeError
 
 if TYPE_CHECKING:
@@ -40,6 +39,9 @@ PROPERTIES: Mapping[str, str] = {
     "polarisation": "Mueller matrices",
 }
 """What a BSDF may have and a format may lose."""
+
+QUANTITIES = ("brdf", "brdf_cos", "pi_brdf")
+"""What the numbers of a table that is read are: BRDF [sr-1], BRDF·cos θ_o [sr-1], or the reflectance factor π·BRDF."""
 
 GRID_OPTIONS: Mapping[str, Any] = {"tolerance": 0.01, "albedo_tolerance": 0.001, "largest": 400_000}
 """Options of all formats on a grid of directions: limits of the error at the 95th percentile of directions, relative to BRDF·cos θ_o, and of
@@ -108,6 +110,8 @@ class Format:
         """Call one of the writers, and write the record that it returns beside the file."""
         record = self.function(writer)(bsdf, Path(path), **self.keywords(keywords))
         if self.has_record:
+            from brdfpipe import store
+
             record = {"format": self.name, "file": Path(path).name, **record}
             store.write_text(f"{path}{RECORD}", json.dumps(record, indent=1, ensure_ascii=False, sort_keys=True) + "\n")
 
@@ -141,6 +145,12 @@ def write(bsdf: xr.Dataset, path: str | os.PathLike[str], format: str | None = N
     ------
     ExchangeError : the format or an option is unknown, or the format does not take such a BSDF.
     """
+    declared, writer = writer_of(path, format)
+    declared.run(writer, bsdf, path, options)
+
+
+def writer_of(path: str | os.PathLike[str], format: str | None = None) -> tuple[Format, str]:
+    """The format of a file to be written, and the name of its writer; parameters and errors as for :func:`write`."""
     name = Path(path).name
     if format is not None and format not in FORMATS:
         raise ExchangeError(f"{name}: unknown format {format!r}; accepted: {', '.join(FORMATS)}")
@@ -159,7 +169,7 @@ def write(bsdf: xr.Dataset, path: str | os.PathLike[str], format: str | None = N
         suffix = Path(path).suffix.removeprefix(".")
         raise ExchangeError(f"{name}: unknown format {suffix!r}; accepted: {', '.join(FORMATS)}")
     declared, writer = longest.pop() if longest else next(iter(writers))
-    FORMATS[declared].run(writer, bsdf, path, options)
+    return FORMATS[declared], writer
 
 
 def _declaration(path: Path) -> Format | None:

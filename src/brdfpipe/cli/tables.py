@@ -1,0 +1,97 @@
+"""The commands ``brdfpipe convert`` and ``brdfpipe compare``: BSDFs of this package and of other programs."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import click
+
+from brdfpipe.cli.console import FILE, exit_on_error
+from brdfpipe.errors import printable
+from brdfpipe.exchange.registry import FORMATS, GRID_OPTIONS, QUANTITIES, RECORD
+
+_READ = click.Choice([name for name, known in FORMATS.items() if known.read])
+_QUANTITY = click.Choice(QUANTITIES)
+
+
+@click.command(short_help="Write the BSDF of file IN as file OUT.")
+@click.argument("source", metavar="IN", type=FILE)
+@click.argument("target", metavar="OUT", type=click.Path(path_type=Path, dir_okay=False))
+@click.option("--format", type=click.Choice(list(FORMATS)), default=None, help="Of OUT  [default: that of its suffix]")
+@click.option("--from", "read_as", type=_READ, default=None, help="Format of IN  [default: that of its suffix]")
+@click.option(
+    "--quantity", type=_QUANTITY, default=None, help="What the values of IN are  [default: what the file says]"
+)
+@click.option(
+    "--tolerance", type=float, default=None, help=f"Of BRDF·cos θ_o  [default: {GRID_OPTIONS['tolerance']:g}]"
+)
+@click.option(
+    "--largest", type=int, default=None, help=f"Number of values of a channel  [default: {GRID_OPTIONS['largest']}]"
+)
+@exit_on_error
+def convert(
+    source: Path,
+    target: Path,
+    format: str | None,
+    read_as: str | None,
+    quantity: str | None,
+    tolerance: float | None,
+    largest: int | None,
+) -> int:
+    """Write the BSDF of file IN, a bsdf.nc of the results or a file of another program, as file OUT: netCDF (.nc) or a file of another program.
+
+    Prints the warnings of IN, the error of OUT and what OUT leaves out. docs/exchange.md has the formats.
+    """
+    from brdfpipe.exchange import conversion
+
+    bsdf = conversion.open_bsdf(source, read_as, quantity)
+    for warning in json.loads(bsdf.attrs.get("warnings", "[]")):
+        click.echo(f"{source.name}: {printable(warning)}", err=True)
+    given = {"tolerance": tolerance, "largest": largest}
+    options = {name: value for name, value in given.items() if value is not None}
+    conversion.convert(bsdf, target, format, inputs={source.name: source}, **options)
+    click.echo(f"{target}: {target.stat().st_size / 1e6:.2f} MB")
+    beside = Path(f"{target}{RECORD}")
+    if beside.is_file():
+        record = json.loads(beside.read_text(encoding="utf-8"))
+        error = record["error"]
+        click.echo(
+            f"error {error['percentile_95']:.2%} of BRDF·cos θ_o at the 95th percentile, {error['albedo']:.2%} of the directional reflectance"
+            + ("" if error.get("within_tolerance", True) else "; MORE than the tolerance: raise --largest")
+        )
+        for text in record["left_out"].values():
+            click.echo(f"left out: {printable(text)}")
+    return 0
+
+
+@click.command(short_help="Compare the BSDFs of two files.")
+@click.argument("first", type=FILE)
+@click.argument("second", type=FILE)
+@click.option("--json", "as_json", is_flag=True, help="Print the differences as JSON.")
+@exit_on_error
+def compare(first: Path, second: Path, as_json: bool) -> int:
+    """Compare the BSDFs of two files, bsdf.nc of results or files of other programs: by direction, in reflectance, gloss and colour."""
+    import numpy as np
+
+    from brdfpipe.comparison.bsdf_difference import as_text, difference
+    from brdfpipe.exchange.conversion import open_bsdf
+
+    found = difference(open_bsdf(first), open_bsdf(second))
+    if not as_json:
+        click.echo(as_text(found))
+        return 0
+    plain = {
+        name: value.tolist() if isinstance(value, np.ndarray) else value for name, value in found._asdict().items()
+    }
+    click.echo(json.dumps(_without_nan(plain), indent=1))
+    return 0
+
+
+def _without_nan(value: object) -> object:
+    """Values for JSON, which has no NaN."""
+    if isinstance(value, dict):
+        return {key: _without_nan(one) for key, one in value.items()}
+    if isinstance(value, list):
+        return [_without_nan(one) for one in value]
+    return None if isinstance(value, float) and value != value else value

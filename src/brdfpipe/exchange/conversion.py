@@ -1,0 +1,90 @@
+"""From any file of a BSDF to any other: this package's netCDF, and the formats of other programs."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import xarray as xr
+
+from brdfpipe import store
+from brdfpipe.bsdf.nonspectral import nonspectral
+from brdfpipe.bsdf.table_nodes import choose_nodes
+from brdfpipe.bsdf.tabulation import full_circle, tabulate
+from brdfpipe.errors import InputError
+from brdfpipe.exchange import registry
+from brdfpipe.exchange.reading import read
+from brdfpipe.exchange.registry import ExchangeError
+
+NETCDF = ".nc"
+
+
+def open_bsdf(path: str | os.PathLike[str], format: str | None = None, quantity: str | None = None) -> xr.Dataset:
+    """The BSDF of a netCDF file of this package, or of a file of another program.
+
+    Parameters
+    ----------
+    path : the file
+    format, quantity : of a file of another program, see :func:`brdfpipe.exchange.reading.read`
+
+    Raises
+    ------
+    InputError, StoreError : the file cannot be read, or is no BSDF.
+    """
+    if Path(path).suffix.lower() != NETCDF:
+        return read(path, format, quantity=quantity)
+    if format is not None or quantity is not None:
+        raise InputError(Path(path), "a netCDF file states its own format and quantity", found=format or quantity)
+    return store.open_dataset(path, "bsdf")
+
+
+def convert(
+    bsdf: xr.Dataset,
+    path: str | os.PathLike[str],
+    format: str | None = None,
+    *,
+    inputs: Mapping[str, str | os.PathLike[str]] | None = None,
+    **options: Any,
+) -> None:
+    """Write a BSDF as netCDF (``.nc``), or in a format of another program.
+
+    Parameters
+    ----------
+    bsdf : kind ``bsdf``
+    path, format, options : see :func:`brdfpipe.exchange.registry.write`; a format that takes the table of a material gets one whose nodes follow the
+        lobe, within the options of a grid
+    inputs : name → raw file from which the BSDF comes, for the provenance of a netCDF file
+
+    Raises
+    ------
+    ExchangeError : the format or an option is unknown, or the format does not take such a BSDF.
+    """
+    if Path(path).suffix.lower() == NETCDF and format is None:
+        if options:
+            raise ExchangeError(
+                f"{Path(path).name}: netCDF has no option {next(iter(options))!r}; it holds the BSDF itself"
+            )
+        material = str(bsdf.attrs.get("material", Path(path).stem))
+        store.save_dataset(bsdf, path, stage="convert", material=material, inputs=inputs)
+        return
+    declared, writer = registry.writer_of(path, format)
+    if declared.takes == "table":
+        grid = {
+            **registry.GRID_OPTIONS,
+            **{name: options.pop(name) for name in registry.GRID_OPTIONS if name in options},
+        }
+        options["table"] = _table(bsdf, **grid)
+    declared.run(writer, bsdf, path, options)
+
+
+def _table(bsdf: xr.Dataset, tolerance: float, albedo_tolerance: float, largest: int) -> xr.Dataset:
+    reduced = nonspectral(bsdf)
+    choice = choose_nodes(
+        reduced, "uniform", tolerance=tolerance, albedo_tolerance=albedo_tolerance, largest=largest // 2
+    )
+    axes = dict(choice.axes)
+    if axes["phi_o"][-1] == 180:
+        axes["phi_o"] = full_circle(axes["phi_o"])
+    return tabulate(reduced, axes)

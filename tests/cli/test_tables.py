@@ -1,0 +1,62 @@
+"""``brdfpipe convert`` and ``brdfpipe compare``."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+import samples
+from click.testing import CliRunner, Result
+
+from brdfpipe import store
+from brdfpipe.cli.main import main
+
+
+@pytest.fixture(scope="module")
+def saved(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("bsdf") / "bsdf.nc"
+    store.save_dataset(samples.beckmann_bsdf(0.3), path, stage="bsdf", material="grain")
+    return path
+
+
+def run(*words: object) -> Result:
+    return CliRunner().invoke(main, [str(word) for word in words])
+
+
+def test_convert_states_the_error_and_what_is_left_out(saved: Path, tmp_path: Path) -> None:
+    target = tmp_path / "grain.zemax.bsdf"
+    found = run("convert", saved, target, "--tolerance", 0.03)
+    assert found.exit_code == 0, found.output
+    record = json.loads(Path(f"{target}.json").read_text())
+    assert f"error {record['error']['percentile_95']:.2%}" in found.output
+    assert "left out: polarisation" in found.output
+
+
+def test_an_error_above_the_tolerance_names_the_option(saved: Path, tmp_path: Path) -> None:
+    found = run("convert", saved, tmp_path / "grain.zemax.bsdf", "--tolerance", 1e-4, "--largest", 2000)
+    assert found.exit_code == 0, found.output
+    assert "MORE than the tolerance: raise --largest" in found.output
+
+
+def test_compare_finds_the_stated_error(saved: Path, tmp_path: Path) -> None:
+    target = tmp_path / "grain.zemax.bsdf"
+    run("convert", saved, target, "--tolerance", 0.03)
+    found = run("compare", saved, target, "--json")
+    assert found.exit_code == 0, found.output
+    figures = json.loads(found.output)
+    stated = json.loads(Path(f"{target}.json").read_text())["error"]["percentile_95"]
+    assert 0.3 * stated < figures["percentile_95"] < 1.5 * stated
+    assert figures["colour"] == pytest.approx(0.0, abs=0.1)
+    text = run("compare", saved, target).output
+    assert f"95th percentile {figures['percentile_95']:.2%}" in text
+
+
+def test_a_file_that_is_no_bsdf_is_one_error(tmp_path: Path) -> None:
+    path = tmp_path / "a.bsdf"
+    path.write_text("nothing\n")
+    found = run("convert", path, tmp_path / "b.nc")
+    assert found.exit_code == 2
+    assert "Traceback" not in found.output
+    assert "a.bsdf" in found.output
+    assert not (tmp_path / "b.nc").exists()

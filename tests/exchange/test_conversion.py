@@ -1,0 +1,72 @@
+"""From the files of one program to those of another."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+import samples
+
+from brdfpipe import store
+from brdfpipe.comparison.bsdf_difference import difference
+from brdfpipe.errors import InputError, VocabularyError
+from brdfpipe.exchange.conversion import convert, open_bsdf
+from brdfpipe.exchange.registry import ExchangeError
+
+
+@pytest.fixture(scope="module")
+def saved(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("bsdf") / "bsdf.nc"
+    store.save_dataset(samples.beckmann_bsdf(0.3), path, stage="bsdf", material="grain")
+    return path
+
+
+def test_a_chain_of_formats_keeps_the_bsdf_within_the_sum_of_stated_errors(saved: Path, tmp_path: Path) -> None:
+    first, second, third = tmp_path / "a.zemax.bsdf", tmp_path / "b.ddr", tmp_path / "c.nc"
+    convert(open_bsdf(saved), first, tolerance=0.02)
+    convert(open_bsdf(first), second, tolerance=0.02)
+    convert(open_bsdf(second), third, inputs={second.name: second})
+    errors = [json.loads(Path(f"{path}.json").read_text())["error"]["percentile_95"] for path in (first, second)]
+    found = difference(open_bsdf(saved), open_bsdf(third))
+    assert 0 < found.percentile_95 < 1.2 * sum(errors)
+    assert found.albedo[1] == pytest.approx(found.albedo[0], rel=0.005)
+
+
+def test_netcdf_names_the_file_it_comes_from(saved: Path, tmp_path: Path) -> None:
+    table = tmp_path / "a.zemax.bsdf"
+    convert(open_bsdf(saved), table, tolerance=0.05)
+    convert(open_bsdf(table), tmp_path / "a.nc", inputs={table.name: table})
+    inputs = json.loads(store.open_dataset(tmp_path / "a.nc", "bsdf").attrs["inputs"])
+    assert store.file_digest(table) in str(inputs)
+
+
+def test_astm_gets_a_table_of_its_own(saved: Path, tmp_path: Path) -> None:
+    convert(open_bsdf(saved), tmp_path / "a.astm", tolerance=0.1)
+    assert "VARS theta_i" in (tmp_path / "a.astm").read_text()
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "words"),
+    [
+        ("a.nc", {"tolerance": 0.1}, "netCDF has no option 'tolerance'"),
+        ("a.xyz", {}, "unknown format"),
+        ("a.zemax.bsdf", {"tolerance": -1.0}, "tolerance is -1.0"),
+    ],
+)
+def test_what_cannot_be_written_is_refused(saved: Path, tmp_path: Path, name: str, options: dict, words: str) -> None:
+    with pytest.raises(ExchangeError, match=words):
+        convert(open_bsdf(saved), tmp_path / name, **options)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_netcdf_file_takes_no_other_format(saved: Path) -> None:
+    with pytest.raises(InputError, match="states its own format"):
+        open_bsdf(saved, "zemax")
+
+
+def test_a_netcdf_file_of_another_kind_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "spectrum.nc"
+    store.save_dataset(samples.spectrum(0.3), path, stage="spectrum", material="grain")
+    with pytest.raises(VocabularyError, match=r"expected a dataset of kind .bsdf., found kind .spectrum."):
+        open_bsdf(path)
