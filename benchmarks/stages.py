@@ -167,7 +167,7 @@ def formats() -> Iterable[Row]:
         yield (
             f"`{name}`",
             format.description,
-            ", ".join(files),
+            ", ".join(files) or "none",
             ", ".join(("reflection", *format.carries)),
             "yes" if format.read else "no",
             format.takes,

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from brdfpipe.exchange.registry import FORMATS
+from brdfpipe.exchange.registry import WRITTEN
 
 PROJECT = Path(__file__).parents[1]
 PACKAGE = Path("src", "brdfpipe")
@@ -259,7 +259,7 @@ def schema(folder: Path) -> dict[str, dict[str, object]]:
 def test_a_format_is_one_module(extended: Path) -> None:
     assert (extended / "results" / "m" / "exports" / "m.toy.txt").read_text() == "wavelengths: 41"
     listed = schema(extended)["Material"]["properties"]["exports"]["items"]["enum"]
-    assert listed == sorted([*FORMATS, "toy-text"])
+    assert listed == sorted([*WRITTEN, "toy-text"])
     stages = (extended / "docs" / "stages.md").read_text()
     row = "| `toy-text` | the number of wavelengths, as text | `<material>.toy.txt` | reflection | no | bsdf | `greeting`: wavelengths: |"
     assert row in stages

@@ -18,7 +18,7 @@ import pytest
 from killed_build import contents
 
 from brdfpipe.errors import BrdfpipeError
-from brdfpipe.exchange.registry import FORMATS
+from brdfpipe.exchange.registry import WRITTEN
 from brdfpipe.jobs.build import build
 from brdfpipe.jobs.index import INDEX, Index, with_checksum
 from brdfpipe.releases.verification import verify_results
@@ -30,7 +30,7 @@ MARKS = "<!-- damages -->\n", "<!-- end of damages -->\n"
 
 SCAN = "surface: {file: raw.txt, unit: um, pitch: 1"
 COLOUR = "spectrum: {lab: [50, 0, 0], illuminant: D65, observer: 10, geometry: sci}\n"
-FORMS = f"exports: [{', '.join(FORMATS)}]\n"
+FORMS = f"exports: [{', '.join(WRITTEN)}]\n"
 TEMPLATES = {
     "t-map": f"{SCAN}, scans: [{{file: further.txt}}]}}\nindex: 1.5\n{COLOUR}{FORMS}",
     "t-sheet": f"{SCAN}}}\nindex: 1.5\nslab: {{thickness: 2, back: {{file: further.txt, unit: um, pitch: 1}}}}\n{FORMS}",

@@ -8,7 +8,7 @@ from pydantic import Field, Strict, model_validator
 from brdfpipe.catalogue.material_keys import EXPORT_WORDS, Observer
 from brdfpipe.descriptions.keys import Items, Keys, OneOf, key
 from brdfpipe.errors import InputError
-from brdfpipe.exchange.registry import FORMATS
+from brdfpipe.exchange.registry import WRITTEN
 
 PolarAngles = Annotated[
     list[Annotated[float, Field(ge=0, lt=90, description="an angle from the normal")]], Items(rising=True)
@@ -123,7 +123,7 @@ class Config(Keys):
     preview_light: Annotated[str, OneOf(("studio", "sun", "overcast"))] = key(
         "light of the picture: studio (soft boxes), sun (a small disc under a clear sky) or overcast (a sky alone)"
     )
-    exports: Annotated[list[Annotated[str, OneOf(tuple(FORMATS))]], Items()] = key(
+    exports: Annotated[list[Annotated[str, OneOf(WRITTEN)]], Items()] = key(
         "files for materials without `exports`; " + EXPORT_WORDS
     )
     job_limits: JobLimits = key("what one stage of one material may take before it is ended {seconds, memory}")

@@ -23,7 +23,7 @@ from brdfpipe.descriptions.keys import (
     mapping_or_value,
 )
 from brdfpipe.errors import InputError
-from brdfpipe.exchange.registry import FORMATS
+from brdfpipe.exchange.registry import FORMATS, WRITTEN
 from brdfpipe.masking.modes import (
     HALOS,
     MASKINGS_OF_MULTIPLE_SCATTERING,
@@ -38,7 +38,7 @@ from brdfpipe.masking.modes import (
     optics_of,
 )
 
-EXPORT_WORDS = "; ".join(f"{name}: {format.description}" for name, format in FORMATS.items())
+EXPORT_WORDS = "; ".join(f"{name}: {FORMATS[name].description}" for name in WRITTEN)
 
 UNITS = ("nm", "um", "mm", "m")
 
@@ -872,7 +872,7 @@ class Material(Keys):
         details="See [the camera rig](rig.md#from-a-run-to-a-bsdf).",
     )
     model: Model = key("how the reflection is modelled", default=Model.model_construct())
-    exports: Annotated[list[Annotated[str, OneOf(tuple(FORMATS))]], Items()] = key(
+    exports: Annotated[list[Annotated[str, OneOf(WRITTEN)]], Items()] = key(
         "files for other programs; " + EXPORT_WORDS, default_words="`exports` of the configuration", example=["astm"]
     )
     accept: list[Acceptance] = key(

@@ -54,8 +54,12 @@ class ReadTable:
     relative: bool = False
     """Whether the values are proportional to the BRDF, on the scale of the declared integral; the scale of the first incidence that declares one holds
     for those that declare none"""
+    quality: NDArray[np.int8] | None = None
+    """(axes…) :func:`brdfpipe.vocabulary.quality` of values that the reader itself derived from others; by default all are of the file"""
     notes: tuple[str, ...] = ()
     """What the reader changed or assumed"""
+    warnings: tuple[str, ...] = ()
+    """What it assumed that decides results"""
 
 
 def as_bsdf(read: ReadTable, path: Path) -> xr.Dataset:
@@ -104,7 +108,7 @@ def as_bsdf(read: ReadTable, path: Path) -> xr.Dataset:
         table.attrs["transmission"] = "slab"
     table = vocabulary.label(table, "bsdf")
     warnings += _declared(read, table) + _reciprocity(table)
-    return vocabulary.add_warning(vocabulary.add_history(table, *read.notes), *warnings)
+    return vocabulary.add_warning(vocabulary.add_history(table, *read.notes), *read.warnings, *warnings)
 
 
 def _directions(read: ReadTable) -> Angles:
@@ -123,11 +127,9 @@ def _as_brdf(read: ReadTable) -> Array:
 
 def _completed(values: Array, read: ReadTable, path: Path) -> tuple[Array, NDArray[np.int8], list[str]]:
     """Values at all cells, their quality (axes…), and warnings."""
-    quality = np.zeros(values.shape[:-1], dtype=np.int8)
+    quality = np.zeros(values.shape[:-1], dtype=np.int8) if read.quality is None else read.quality.copy()
     theta_i, _, theta_o, _ = _directions(read)
-    above = (
-        np.broadcast_to((theta_i <= 90) & (theta_o <= 90), quality.shape) if read.layout != "uniform" else quality == 0
-    )
+    above = np.broadcast_to((read.layout == "uniform") | (theta_i <= 90) & (theta_o <= 90), quality.shape)
     missing = np.asarray(np.isnan(values).any(axis=-1))
     if read.zero_is_missing:
         missing |= (values == 0).all(axis=-1)

@@ -64,7 +64,7 @@ def format_of(path: Path, name: str | None = None) -> Format:
     matches = []
     for known in readable.values():
         written = [suffix for side in known.files.values() for group in side.values() for suffix in group]
-        ends = any(file_name.endswith(Path(f"name{suffix}").suffix) for suffix in written)
+        ends = any(file_name.endswith(Path(f"name{suffix}").suffix) for suffix in (*written, *known.reads))
         if ends and (not known.begins or any(word.encode() in beginning for word in known.begins)):
             matches.append(known)
     if len(matches) == 1:

@@ -62,7 +62,8 @@ class Format:
     description: str
     """What the files hold, in one sentence."""
     files: Mapping[str, Mapping[str, tuple[str, ...]]]
-    """Files of each side of the material, ``reflection`` and ``transmission``: name of a writer → suffixes of the files it writes.
+    """Files of each side of the material, ``reflection`` and ``transmission``: name of a writer → suffixes of the files it writes; empty of a
+    format that is read alone.
 
     A writer is a function of the module. It is called with the path of the first file and writes the others beside it. A material
     without transmission has the files of ``reflection`` alone; a format with both sides in one file declares it there."""
@@ -74,6 +75,8 @@ class Format:
     """What survives, of :data:`PROPERTIES`."""
     read: str = ""
     """Name of the function that reads the files; empty if none does."""
+    reads: tuple[str, ...] = ()
+    """Suffixes of files that are read, beside those that are written."""
     begins: tuple[str, ...] = ()
     """Words of which the beginning of a file holds one, where several formats have its suffix."""
     options: Mapping[str, Any] = field(default_factory=dict)
@@ -152,8 +155,8 @@ def write(bsdf: xr.Dataset, path: str | os.PathLike[str], format: str | None = N
 def writer_of(path: str | os.PathLike[str], format: str | None = None) -> tuple[Format, str]:
     """The format of a file to be written, and the name of its writer; parameters and errors as for :func:`write`."""
     name = Path(path).name
-    if format is not None and format not in FORMATS:
-        raise ExchangeError(f"{name}: unknown format {format!r}; accepted: {', '.join(FORMATS)}")
+    if format is not None and format not in WRITTEN:
+        raise ExchangeError(f"{name}: unknown format {format!r}; accepted: {', '.join(WRITTEN)}")
     writers = {
         (declared.name, writer): suffixes[0]
         for declared in ([FORMATS[format]] if format else FORMATS.values())
@@ -167,7 +170,7 @@ def writer_of(path: str | os.PathLike[str], format: str | None = None) -> tuple[
         raise ExchangeError(f"{name}: several formats have this suffix; give `format`, one of {formats}")
     if not longest and format is None:
         suffix = Path(path).suffix.removeprefix(".")
-        raise ExchangeError(f"{name}: unknown format {suffix!r}; accepted: {', '.join(FORMATS)}")
+        raise ExchangeError(f"{name}: unknown format {suffix!r}; accepted: {', '.join(WRITTEN)}")
     declared, writer = longest.pop() if longest else next(iter(writers))
     return FORMATS[declared], writer
 
@@ -192,3 +195,6 @@ FORMATS: Mapping[str, Format] = {
     format.name: format for path in sorted(Path(__file__).parent.glob("*.py")) if (format := _declaration(path))
 }
 """Formats by name."""
+
+WRITTEN = tuple(name for name, format in FORMATS.items() if format.files)
+"""Names of the formats that a BSDF can be written in."""

@@ -33,9 +33,14 @@ class Lines:
         ]
         self._at = 0
 
+    @property
+    def ended(self) -> bool:
+        """Whether no line is left."""
+        return self._at >= len(self._lines)
+
     def next(self, wanted: str) -> str:
         """The next line."""
-        if self._at >= len(self._lines):
+        if self.ended:
             raise InputError(self._path, "the file ends early", found="the end of the file", accepted=wanted)
         self._at += 1
         return self._lines[self._at - 1][1]

@@ -8,7 +8,7 @@ from pydantic import Field, model_validator
 
 from brdfpipe.descriptions.keys import WHOLE, Choice, Items, Keys, OneOf, key
 from brdfpipe.errors import InputError
-from brdfpipe.exchange.registry import FORMATS
+from brdfpipe.exchange.registry import WRITTEN
 from brdfpipe.scenes.domain_keys import DomainKeys
 from brdfpipe.scenes.glare_keys import GlareKeys
 from brdfpipe.scenes.results import RESULTS
@@ -40,7 +40,7 @@ Wavelengths = Annotated[
     Field(min_length=1),
     Items(rising=True),
 ]
-Formats = Annotated[list[Annotated[str, OneOf(tuple(FORMATS))]], Items()]
+Formats = Annotated[list[Annotated[str, OneOf(WRITTEN)]], Items()]
 
 
 class Budget(Keys):
