@@ -233,8 +233,27 @@ def test_real_blinds_have_the_values_and_the_light_that_radiance_reads(shared_da
     assert float(back.bsdf.evaluate(30, 0, 150, 180)) == pytest.approx(34.5395, rel=1e-3)
     assert float(back.bsdf.evaluate(50, 60, 140, 75)) == pytest.approx(0.108122, rel=1e-3)
     assert float(back.bsdf.evaluate(50, 60, 40, 75)) == pytest.approx(0.058732, rel=1e-3)
-    # direct_hemi at the normal: 0.0267 reflected; linear interpolation between patches is not that of Radiance.
-    assert float(back.bsdf.albedo(0.0)) == pytest.approx(0.0267, rel=0.02)
+    # direct_hemi at centres of patches, reflected and passed: the table keeps the light of each ring to 0.5 %.
+    for theta, phi, reflected, passed in (
+        (0.0, 0.0, 0.02673, 0.86138),
+        (20.0, 90.0, 0.04125, 0.64337),
+        (40.0, 270.0, 0.05958, 0.33494),
+        (70.0, 0.0, 0.03614, 0.72613),
+    ):
+        assert float(back.bsdf.albedo(theta, phi)) == pytest.approx(reflected, rel=0.006)
+        assert float(back.bsdf.transmittance(theta, phi)) == pytest.approx(passed, rel=0.006)
+
+
+def test_radiance_and_the_table_agree_on_the_light_of_real_blinds(shared_data):
+    radiance = pytest.importorskip("pyradiance.bsdf", reason="pyradiance is not there")
+    path = shared_data / "bsdf" / "test_blinds_kf.xml"
+    loaded, back = radiance.load_file(str(path)), read(path)
+    for theta in (0.0, 10.0, 20.0, 40.0, 60.0, 70.0):
+        for phi in (0.0, 90.0, 270.0):
+            total = radiance.direct_hemi(loaded, theta, phi, radiance.SAMPLE_ALL)
+            reflected = radiance.direct_hemi(loaded, theta, phi, radiance.SAMPLE_ALL & ~radiance.SAMPLE_T)
+            assert float(back.bsdf.albedo(theta, phi)) == pytest.approx(reflected, rel=0.01)
+            assert float(back.bsdf.transmittance(theta, phi)) == pytest.approx(total - reflected, rel=0.01)
 
 
 def test_radiance_reads_the_light_that_the_model_reflects_and_passes(grey, file, sheet_file):

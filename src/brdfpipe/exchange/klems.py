@@ -50,6 +50,8 @@ _CENTRES = np.array([0.0, 10, 20, 30, 40, 50, 60, 70, 82.5])
 _FIRST = np.concatenate([[0], np.cumsum(RING)[:-1]])
 _STEP = 0.75
 """Steps of azimuth that fill the patches of every ring, and lie at their centres [degree]"""
+_STEP_WIDTH = 1e-3
+"""Half of the polar angle in which a table that is read changes from ring to ring [degree]."""
 _BASIS = "LBNL/Klems Full"
 _SIDES = {"Reflection Back": False, "Transmission Back": True}
 """Name of light from +Z → whether it passes"""
@@ -192,7 +194,7 @@ def _document(record: records.Record, means: Mapping[str, Array]) -> Iterator[by
 def read(path: Path) -> ReadTable:
     """Read what light from +Z becomes, of a file with the full Klems basis.
 
-    Between the centres of patches the values are interpolated linearly, which Radiance does not do: a step at their edges would not be that of the sample.
+    Values are constant in the polar angles of a ring, and interpolated linearly in azimuth between the centres of its patches: both keep the light of each ring.
 
     Raises InputError: the file contradicts itself, or is not of this format.
     """
@@ -218,7 +220,7 @@ def read(path: Path) -> ReadTable:
     if "Reflection Back" not in means:
         found = ", ".join(names)[:80] or "no visible data"
         raise InputError(path, "no reflection of light from +Z", found=found, accepted="Reflection Back, Visible")
-    notes = ["patches are interpolated linearly between their centres"]
+    notes = ["patches are constant in polar angle, and interpolated linearly in azimuth"]
     if {"Reflection Front", "Transmission Front"} & set(names):
         notes.append("light from -Z was not read")
     return _table(means, tuple(notes))
@@ -271,22 +273,34 @@ def _matrix(path: Path, block: Element, name: str) -> Array:
 
 
 def _table(means: Mapping[str, Array], notes: tuple[str, ...]) -> ReadTable:
-    """A table at the centres of the rings and the azimuths of the finest of them, linear between patches of a ring."""
-    azimuths = np.arange(0.0, 361.0, 15.0)
+    """A table that is constant in the polar angles of a ring, and linear in azimuth between the centres of its patches.
+
+    Both keep the light of a ring. Azimuths of incidence are those of the finest ring; the steps of the relative azimuth fit all rings but that of 16 patches, which keeps its
+    light to 0.5 %.
+    """
+    azimuths, relative = np.arange(0.0, 361.0, 15.0), np.arange(0.0, 361.0, 3.0)
     parts = []
     for name, passes in _SIDES.items():
         if name in means:
             # (θ_i, φ_i, outgoing patch) and then (θ_i, φ_i, θ_o, φ_o relative to φ_i)
             columns = np.stack([_around(means[name].T, ring, azimuths + 180) for ring in range(RING.size)])
             turned = [
-                np.stack([_around(columns[:, k].T, ring, azimuths + phi) for ring in range(RING.size)])
+                np.stack([_around(columns[:, k].T, ring, relative + phi) for ring in range(RING.size)])
                 for k, phi in enumerate(azimuths)
             ]
-            values = np.moveaxis(np.stack(turned), -1, 0)
+            values = np.repeat(np.moveaxis(np.stack(turned), -1, 0), 2, axis=2)
             parts.append(values[:, :, ::-1] if passes else values)
-    theta_o = np.concatenate([_CENTRES, 180 - _CENTRES[::-1]]) if len(parts) == 2 else _CENTRES
-    axes = {"phi_i": azimuths, "theta_i": _CENTRES, "theta_o": theta_o, "phi_o": azimuths}
-    values = np.concatenate(parts, axis=2).swapaxes(0, 1)[..., None]
+    polar = np.concatenate(
+        [[0.0], np.repeat(BOUNDS[1:-1], 2) + np.tile([-_STEP_WIDTH, _STEP_WIDTH], RING.size - 1), [90.0]]
+    )
+    below = np.concatenate([[90.0 + _STEP_WIDTH], 180 - polar[-2::-1]])
+    axes = {
+        "phi_i": azimuths,
+        "theta_i": polar,
+        "theta_o": np.concatenate([polar, below]) if len(parts) == 2 else polar,
+        "phi_o": relative,
+    }
+    values = np.repeat(np.concatenate(parts, axis=2).swapaxes(0, 1), 2, axis=1)[..., None]
     return ReadTable("uniform", axes, values, notes=notes)
 
 
