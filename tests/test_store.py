@@ -10,7 +10,7 @@ import samples
 import xarray as xr
 
 import brdfpipe
-from brdfpipe import store
+from brdfpipe import netcdf_files, store
 from brdfpipe.errors import InputError, VocabularyError
 
 
@@ -80,7 +80,7 @@ def test_nothing_is_left_behind_when_writing_fails(tmp_path, monkeypatch):
     def full(*_args, **_kwargs):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(xr.Dataset, "to_netcdf", full)
+    monkeypatch.setattr(netcdf_files, "write", full)
     with pytest.raises(store.StoreError, match="is the disk full"):
         save(samples.spectrum(), tmp_path / "a.nc")
     assert list(tmp_path.iterdir()) == []
@@ -240,3 +240,51 @@ def test_a_missing_raw_file_is_an_input_error(tmp_path):
 def test_text_files_keep_their_line_ends(tmp_path):
     store.write_text(tmp_path / "a.csv", "a\nµ\n")
     assert (tmp_path / "a.csv").read_bytes() == "a\nµ\n".encode()
+
+
+def test_what_was_written_is_not_read_again_where_datasets_are_remembered(tmp_path, monkeypatch):
+    path = tmp_path / "a.nc"
+    with store.remembering():
+        saved = save(samples.spectrum(), path)
+    read = []
+    monkeypatch.setattr(netcdf_files, "read", lambda path: read.append(path) or saved)
+    with store.remembering():
+        again = store.open_dataset(path)
+        with store.opened({"spectrum": path}) as datasets:
+            xr.testing.assert_identical(datasets["spectrum"], saved)
+    xr.testing.assert_identical(again, saved)
+    assert read == []
+    store.open_dataset(path)  # outside of stages
+    assert read == [path]
+
+
+def test_a_remembered_dataset_is_read_again_after_its_file_changed(tmp_path):
+    path = tmp_path / "a.nc"
+    with store.remembering():
+        save(samples.spectrum(0.5), path)
+        save(samples.spectrum(0.6), tmp_path / "b.nc")
+        (tmp_path / "b.nc").replace(path)
+        assert (store.open_dataset(path)["total_reflectance"].values == 0.6).all()
+        path.write_bytes(path.read_bytes()[:3000])
+        with pytest.raises(store.StoreError, match="damaged"):
+            store.open_dataset(path)
+
+
+def test_who_changes_a_remembered_dataset_changes_it_for_nobody_else(tmp_path):
+    path = tmp_path / "a.nc"
+    with store.remembering():
+        save(samples.spectrum(0.5), path)
+        store.open_dataset(path).attrs["geometry"] = "changed"
+        mine = store.open_dataset(path)
+        mine["total_reflectance"] = mine["total_reflectance"] * 2
+        assert store.open_dataset(path).attrs["geometry"] != "changed"
+        assert (store.open_dataset(path)["total_reflectance"].values == 0.5).all()
+
+
+@pytest.mark.parametrize("limit", [("_MOST_REMEMBERED_BYTES", 0), ("_MOST_BYTES_OF_ONE", 0)])
+def test_remembered_datasets_are_limited(tmp_path, monkeypatch, limit):
+    monkeypatch.setattr(store, *limit)
+    with store.remembering():
+        save(samples.spectrum(), tmp_path / "a.nc")
+        store.open_dataset(tmp_path / "a.nc")
+    assert not store._remembered

@@ -20,12 +20,10 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-import netCDF4
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
-from brdfpipe import vocabulary
+from brdfpipe import netcdf_files, vocabulary
 from brdfpipe.errors import BrdfpipeError, InputError
 
 SOFTWARE = ("brdfpipe", "netCDF4", "numpy", "scipy", "xarray")
@@ -40,6 +38,14 @@ surface."""
 
 _shared: OrderedDict[tuple[int, ...], xr.Dataset] = OrderedDict()
 """By what identifies the content of a file, the least recently used first."""
+
+_MOST_REMEMBERED_BYTES, _MOST_BYTES_OF_ONE = 32 * 2**20, 8 * 2**20
+"""Size of the datasets that :func:`remembering` keeps, and of one that is kept: of those of a material the heights alone may be larger."""
+
+_remembered: OrderedDict[tuple[int, ...], tuple[xr.Dataset, int]] = OrderedDict()
+"""By what identifies the content of a file, the least recently used first: the dataset and its bytes."""
+
+_remembers: ContextVar[bool] = ContextVar("remembers", default=False)
 
 _owner: ContextVar[Callable[[Path], str | None]] = ContextVar("owner", default=lambda path: None)
 """See :func:`owners_checked`."""
@@ -64,7 +70,10 @@ def open_dataset(path: str | os.PathLike[str], kind: str | None = None) -> xr.Da
     """
     path = Path(path)
     try:
-        dataset = _read(path)
+        dataset = _recalled(path)
+        if dataset is None:
+            dataset = netcdf_files.read(path)
+            _remember(path, dataset)
     except FileNotFoundError as error:
         raise StoreError(f"{path}: no such dataset; run `brdfpipe build` to build it") from error
     except Exception as error:  # netCDF4 raises OSError, RuntimeError, ValueError and more on damaged files
@@ -83,12 +92,9 @@ def shared_dataset(path: str | os.PathLike[str], kind: str | None = None) -> xr.
     Stages of a material that follow each other in a process read its BSDF once, and share what is prepared from it. Nobody may change
     the dataset or its arrays.
     """
-    try:
-        found = Path(path).stat()
-    except OSError:
+    key = _identity(Path(path))
+    if key is None:
         return open_dataset(path, kind)
-    # A file that is written anew is another inode, and one that is changed in place has another time of change.
-    key = found.st_dev, found.st_ino, found.st_size, found.st_mtime_ns, found.st_ctime_ns
     if key not in _shared:
         _shared[key] = open_dataset(path)
     _shared.move_to_end(key)
@@ -105,19 +111,45 @@ def _shared_bytes() -> int:
     return sum(dataset.nbytes for dataset in _shared.values())
 
 
-def _read(path: Path) -> xr.Dataset:
-    """All variables of a netCDF file, without the indexing layers of a lazy dataset, which take as long as the reading."""
-    with netCDF4.Dataset(path) as file:
-        file.set_auto_maskandscale(False)
-        variables = {
-            name: xr.Variable(variable.dimensions, _values(variable), variable.__dict__)
-            for name, variable in file.variables.items()
-        }
-        return xr.decode_cf(xr.Dataset(variables, attrs=file.__dict__))
+def _identity(path: Path) -> tuple[int, ...] | None:
+    """What identifies the content of a file; None if there is no file."""
+    try:
+        found = path.stat()
+    except OSError:
+        return None
+    # A file that is written anew is another inode, and one that is changed in place has another time of change.
+    return found.st_dev, found.st_ino, found.st_size, found.st_mtime_ns, found.st_ctime_ns
 
 
-def _values(variable: netCDF4.Variable[Any]) -> NDArray[Any]:
-    return np.asarray(variable[...], dtype=str if variable.dtype is str else None)
+@contextmanager
+def remembering() -> Iterator[None]:
+    """Inside the block, keep what is read and written in memory, for whoever reads the same file again in such a block.
+
+    The stages of a material that follow each other in a process read what the earlier ones wrote. They get datasets of their own on the same
+    arrays: nobody may change these in place.
+    """
+    before = _remembers.set(True)
+    try:
+        yield
+    finally:
+        _remembers.reset(before)
+
+
+def _remember(path: Path, dataset: xr.Dataset | None) -> None:
+    if not _remembers.get() or dataset is None or (size := dataset.nbytes) > _MOST_BYTES_OF_ONE:
+        return
+    if (key := _identity(path)) is not None:
+        _remembered[key] = dataset.copy(), size
+    while sum(size for _, size in _remembered.values()) > _MOST_REMEMBERED_BYTES:
+        _remembered.popitem(last=False)
+
+
+def _recalled(path: Path) -> xr.Dataset | None:
+    key = _identity(path) if _remembers.get() else None
+    if key is None or key not in _remembered:
+        return None
+    _remembered.move_to_end(key)
+    return _remembered[key][0].copy()
 
 
 @contextmanager
@@ -155,9 +187,12 @@ def opened(paths: Mapping[str, str | os.PathLike[str]]) -> Iterator[dict[str, xr
     """
     with ExitStack() as files:
         try:
-            datasets = {
-                name: files.enter_context(xr.open_dataset(path, engine="netcdf4")) for name, path in paths.items()
-            }
+            datasets = {}
+            for name, path in paths.items():
+                recalled = _recalled(Path(path))
+                datasets[name] = (
+                    files.enter_context(xr.open_dataset(path, engine="netcdf4")) if recalled is None else recalled
+                )
             for name, dataset in datasets.items():
                 _check_owner(dataset, Path(paths[name]))
             yield datasets
@@ -211,7 +246,8 @@ def save_dataset(
         variable.encoding = {}
     dataset.attrs["digest"] = digest(dataset)
     with atomic_path(path, size_hint=dataset.nbytes) as temporary:
-        dataset.to_netcdf(temporary, engine="netcdf4", format="NETCDF4", encoding=_encoding(dataset))
+        netcdf_files.write(dataset, temporary)
+    _remember(path, netcdf_files.as_read(dataset) if _remembers.get() else None)
     return dataset
 
 
@@ -318,19 +354,6 @@ def _attributes_json(attrs: Mapping[Any, Any]) -> bytes:
     # netCDF returns a one-element list as a scalar: both must have the same digest.
     plain = {str(k): np.asarray(v).ravel().tolist() for k, v in attrs.items()}
     return canonical_json(plain).encode()
-
-
-def _encoding(dataset: xr.Dataset) -> dict[str, dict[str, Any]]:
-    encoding: dict[str, dict[str, Any]] = {}
-    for name, variable in dataset.variables.items():
-        options: dict[str, Any] = {}
-        if variable.dtype.kind == "f":
-            options["_FillValue"] = None
-        if variable.dtype.kind in "fiu" and variable.ndim and variable.size:
-            # The checksum detects zeroed blocks, as a full disk leaves them.
-            options |= {"zlib": True, "complevel": 1, "shuffle": True, "fletcher32": True}
-        encoding[str(name)] = options
-    return encoding
 
 
 @cache

@@ -95,7 +95,7 @@ def perform(job: Job) -> Outcome:
                 warnings.simplefilter("always")
                 for path in _paths(job.output):
                     Path(path).parent.mkdir(parents=True, exist_ok=True)
-                with store.owners_checked(_owner), _limited_memory(job.most_memory):
+                with store.owners_checked(_owner), store.remembering(), _limited_memory(job.most_memory):
                     _main(job.script)(job.input, job.output, job.params)
         except BrdfpipeError as refusal:
             error, damaged = " ".join(str(refusal).split()), _damaged(refusal, job)
