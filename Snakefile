@@ -31,6 +31,7 @@ onstart:
 
 include: "workflow/rules/predicted.smk"
 include: "workflow/rules/flake.smk"
+include: "workflow/rules/imported.smk"
 include: "workflow/rules/rig.smk"
 include: "workflow/rules/outputs.smk"
 include: "workflow/rules/catalogue.smk"

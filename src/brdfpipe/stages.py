@@ -71,7 +71,7 @@ class Subject:
 
     @property
     def route(self) -> str:
-        """How the BSDF is obtained: measured, flake or predicted."""
+        """How the BSDF is obtained: measured, imported, flake or predicted."""
         return next((route for part, route in ROUTES if part in self.owner.content), "predicted")
 
     @property
@@ -681,6 +681,17 @@ _STAGES = (
         kind="uncertainty",
     ),
     Stage(
+        "imported",
+        "the BSDF of a file of another program or instrument",
+        when=_has("table"),
+        keys=_block("table", ("format", "quantity")),
+        modules=tuple(format.module for format in FORMATS.values() if format.read),
+        kind="bsdf",
+        reported=False,
+        memory=2000,
+        minutes=1,
+    ),
+    Stage(
         "rig_run",
         "the frames of an emulated rig",
         when=_has("rig"),
@@ -757,7 +768,7 @@ _STAGES = (
     ),
     Stage(
         "bsdf",
-        "the BSDF: measured, else of flakes, else predicted",
+        "the BSDF: measured, else of a file, else of flakes, else predicted",
         when=_asked("uncertainty"),
         keys=StageKeys(read=_route),
     ),

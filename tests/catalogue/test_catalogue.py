@@ -584,6 +584,38 @@ def test_a_file_of_colours_at_several_geometries_is_a_raw_file(tmp_path: Path) -
     assert loaded.spec("m", "bsdf") == {"route": "flake"}
 
 
+def test_a_table_of_another_program_is_a_material_and_its_own_route(tmp_path: Path) -> None:
+    write(tmp_path, "m", "table: {file: a.bsdf, format: zemax, quantity: brdf_cos}\n", a_bsdf="Source  Measured\n")
+    loaded = catalogue.load(tmp_path)
+    assert loaded.failures == {}
+    assert not loaded["m"].has("predicted")
+    assert loaded.spec("m", "bsdf") == {"route": "imported"}
+    assert loaded.spec("m", "imported") == {"format": "zemax", "quantity": "brdf_cos"}
+    assert loaded["m"].files["table"].name == "a.bsdf"
+    assert catalogue.summary_words(loaded["m"]) == ["table a.bsdf"]
+    catalogue.check_formats(loaded["m"])
+
+
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [
+        ("table: {file: a.bsdf, format: word}\n", "table.format: .*'word'.*zemax"),
+        ("table: {file: ../a.bsdf}\n", "table.file"),
+        (f"table: {{file: a.bsdf}}\n{COLOUR}", "table.*spectrum"),
+        (f"table: {{file: a.bsdf}}\n{FRONT}", "table.*surface"),
+    ],
+)
+def test_a_wrong_table_is_refused_by_its_key(tmp_path: Path, text: str, problem: str) -> None:
+    write(tmp_path, "m", text, a_bsdf="Source  Measured\n")
+    assert re.search(problem, catalogue.load(tmp_path).failures["m"])
+
+
+def test_a_table_in_no_known_format_is_found_by_the_check(tmp_path: Path) -> None:
+    write(tmp_path, "m", "table: {file: a.bsdf}\n", a_bsdf="anything\n")
+    with pytest.raises(InputError, match=r"no format has such files.*table\.format"):
+        catalogue.check_formats(catalogue.load(tmp_path)["m"])
+
+
 def test_a_wrong_geometry_in_the_description_is_found_by_the_check(tmp_path: Path) -> None:
     colours = ", ".join(f"{{geometry: '{name}', lab: [20, 0, 0]}}" for name in ("45as15", "45as45", "45az75"))
     write(tmp_path, "m", f"multiangle: {{colours: [{colours}], illuminant: D65, observer: 10}}\n")

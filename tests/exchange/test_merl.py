@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import samples
 
+from brdfpipe.bsdf.nonspectral import nonspectral
 from brdfpipe.bsdf.registry import representation
 from brdfpipe.bsdf.table_error import error_of, fresh_pairs
 from brdfpipe.errors import InputError
@@ -53,7 +54,7 @@ def directions(theta_h: float, theta_d: float, phi_d: float) -> tuple[float, flo
 def test_a_program_that_interpolates_errs_by_what_the_record_says(grey, file):
     error = json.loads(Path(f"{file}.json").read_text())["error"]
     model = grey.bsdf.nonspectral()
-    found = error_of(model, representation(read(file)).evaluate, fresh_pairs(model, 11, incidences=24))
+    found = error_of(model, representation(nonspectral(read(file))).evaluate, fresh_pairs(model, 11, incidences=24))
     assert found.percentile_95 <= 1.4 * error["interpolated"]["percentile_95"] + 1e-4
     assert found.albedo <= error["interpolated"]["albedo"] + 5e-4
     # Cells of one degree in a lobe of slope 0.2: the curvature within half a cell.

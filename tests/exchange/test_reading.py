@@ -7,12 +7,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import samples
 
+from brdfpipe.appearance import colours
 from brdfpipe.errors import InputError
 from brdfpipe.exchange import reading
 from brdfpipe.exchange.read_table import ReadTable, as_bsdf
+from brdfpipe.exchange.registry import write
+from brdfpipe.spectra.colorimetry import delta_e_00
 
-THETA_I, THETA_S, PHI_S = np.array([0.0, 30.0, 60.0]), np.linspace(0, 150, 31), np.linspace(0, 180, 19)
+THETA_I, THETA_S, PHI_S = np.array([0.0, 30.0, 80.0]), np.linspace(0, 150, 31), np.linspace(0, 180, 19)
 
 
 def table(values=0.1, **options) -> ReadTable:
@@ -88,6 +92,28 @@ def test_white_in_rgb_is_the_white_of_the_light():
     x, y, z = found["brdf_xyz"].values[0, 0, 0]
     # D65, 2 degree: X = 0.9505, Z = 1.0888 of Y = 1 (IEC 61966-2-1).
     assert (x / y, z / y) == pytest.approx((0.9505, 1.0888), abs=5e-4)
+
+
+def test_the_colour_of_a_file_is_that_of_its_source_for_the_other_observer_too(tmp_path):
+    red = samples.beckmann_bsdf(0.3, reflectance=0.05 + 0.6 / (1 + np.exp(-(samples.WAVELENGTH - 590) / 25)))
+    write(red, tmp_path / "red.zemax.bsdf", colour=True, tolerance=0.05)
+    back = reading.read(tmp_path / "red.zemax.bsdf")
+    for observer in (2, 10):
+        wanted, found = (colours.colour(one, ["45:0"], "D65", observer).values for one in (red, back))
+        assert delta_e_00(wanted, found).max() < 1.5
+
+
+def test_a_grey_file_is_grey():
+    found = as_bsdf(table(0.1), Path("x.bsdf"))
+    assert colours.colour(found, ["45:0"]).values[:, 1:] == pytest.approx(0, abs=1e-9)
+
+
+def test_incidences_that_the_file_does_not_have_are_named():
+    read = table()
+    few = ReadTable(read.layout, {**read.axes, "theta_i": np.array([15.0, 30.0, 60.0])}, read.values)
+    assert "from 15 to 60 degree" in warnings_of(few)
+    many = ReadTable(read.layout, {**read.axes, "theta_i": np.array([0.0, 45.0, 80.0])}, read.values)
+    assert warnings_of(many) == ""
 
 
 def test_one_incidence_serves_for_all_and_says_so():

@@ -14,7 +14,7 @@ import pytest
 import samples
 import small_rig
 
-from brdfpipe import catalogue, installation, store
+from brdfpipe import catalogue, exchange, installation, store
 from brdfpipe.jobs import code
 from brdfpipe.stages import STAGES, Stage
 
@@ -258,6 +258,8 @@ def test_the_digest_of_a_stage_covers_every_module_that_its_run_loads(tmp_path: 
     relief = {"kirchhoff": "smooth", "traced": "surface"}[solution]
     run("reference", {"surface": relief, **same("index", "spectrum")}, same("reference"), {"diffuse": "coupled"})
     run("uncertainty", same("predicted", "facets", "psd", "index", "spectrum", "model_error"), same("uncertainty"))
+    exchange.write(samples.beckmann_bsdf(0.3), tmp_path / "grain.zemax.bsdf", tolerance=0.1, albedo_tolerance=0.1)
+    run("imported", {"raw": "grain.zemax.bsdf"}, same("imported"), {})
     run("multiangle", {}, same("multiangle"), of="metallic-blue")
     run("flake", same("multiangle"), same("flake"), of="metallic-blue")
     run("flake_uncertainty", same("multiangle", "flake"), same("flake_uncertainty"), of="metallic-blue")

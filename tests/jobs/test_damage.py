@@ -36,6 +36,7 @@ TEMPLATES = {
     "t-sheet": f"{SCAN}}}\nindex: 1.5\nslab: {{thickness: 2, back: {{file: further.txt, unit: um, pitch: 1}}}}\n{FORMS}",
     "t-paint": "multiangle: {colours: [{geometry: '45:-30', lab: [40, 0, 0]}, {geometry: '45:0', lab: [20, 0, 0]}, "
     "{geometry: '45:65', lab: [9, 0, 0]}], illuminant: D65, observer: 10, model: flake}\n",
+    "t-table": "table: {file: raw.txt, format: zemax}\n",
     "t-rig": f"surface: {{distribution: ggx, a: 0.3}}\nindex: 1.5\n{COLOUR}"
     "rig: {plan: plan.yaml, emulate: {truth: truth, seed: 1, session: 1}, calibration: bench}\n",
     "t-traced": f"{SCAN}}}\nindex: 1.5\n{COLOUR}model: {{truth: use}}\n",

@@ -9,6 +9,7 @@ use rule stage_template as bsdf with:
             "sheet",
             "reference",
             "flake",
+            "imported",
             "measured",
             "uncertainty",
             "flake_uncertainty",

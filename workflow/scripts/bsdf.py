@@ -11,7 +11,7 @@ UNCERTAIN = {
 
 
 def main(input, output, params):
-    """The BSDF of the best route of the material: measured, else of flakes, else predicted."""
+    """The BSDF of the best route of the material: measured, else of a file, else of flakes, else predicted."""
     spec = params["spec"]
     kinds = {name: "uncertainty" if name.endswith("uncertainty") else "bsdf" for name, _ in input.items()}
     inputs = {name: store.open_dataset(path, kinds[name]) for name, path in input.items()}

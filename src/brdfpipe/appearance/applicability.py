@@ -118,11 +118,24 @@ def _finish_limits(datasets: Datasets) -> Iterator[str]:
 
 
 def _spectrum_limits(datasets: Datasets) -> Iterator[str]:
+    if route(datasets) == "imported":
+        yield from _colour_limits_of_file(datasets["bsdf"])
+        return
     needs_spectrum = route(datasets) != "measured" and not has_no_diffuse_base(datasets.get("bsdf"))
     if needs_spectrum and not {"spectrum", "multiangle"} & set(datasets):
         yield (
             "Colour and diffuse reflection are not modelled. No spectrum is known. The BRDF contains only the light that the facets "
             "mirror. Set `spectrum` in material.yaml to model the rest."
+        )
+
+
+def _colour_limits_of_file(bsdf: xr.Dataset) -> Iterator[str]:
+    if "wavelength" not in bsdf.coords:
+        yield "The file has no colour: its values hold at all wavelengths, and the colours are those of a grey."
+    elif "spectrum_of_xyz" in bsdf:
+        yield (
+            f"The file has colours, no spectra. They are exact under {bsdf.attrs['illuminant']} for the {bsdf.attrs['observer']}° observer. "
+            "Under other lights and for the other observer they follow from the smoothest spectra of these colours."
         )
 
 

@@ -49,6 +49,8 @@ def basis(datasets: Datasets) -> str:
     """The inputs in words: ``surface + spectrum``, ``assumed finish``, ``a camera rig``; empty where there are none."""
     if is_measured(datasets):
         return "a camera rig"
+    if route(datasets) == "imported":
+        return f"a table ({datasets['bsdf'].attrs['file_format']})"
     if route(datasets) == "flake" and "multiangle" in datasets:
         return f"colours at {datasets['multiangle'].sizes['geometry']} geometries"
     finish = "surface" if "surface" in datasets else "assumed finish" if "facets" in datasets else ""

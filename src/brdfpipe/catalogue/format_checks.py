@@ -18,6 +18,7 @@ def check_formats(material: Material) -> None:
     InputError : an empty file, an extension without a reader, an unknown plastic or illuminant.
     """
     from brdfpipe.columns import TEXT_SUFFIXES
+    from brdfpipe.exchange.reading import format_of
     from brdfpipe.optics import index
     from brdfpipe.optics.index import refractive_index
     from brdfpipe.spectra.formats.registry import FORMATS as SPECTRUM_FORMATS
@@ -31,6 +32,9 @@ def check_formats(material: Material) -> None:
         key = key.removesuffix(".scans")
         if path.stat().st_size == 0:
             raise InputError(path, "an empty file", key=f"{key}.file")
+        if part == "table":
+            format_of(path, content["table"].get("format"))
+            continue
         block = content["slab"]["back"] if part == "back_surface" else content.get(part.partition("-")[0], {})
         if part.startswith("surface-"):
             scan = content["surface"]["scans"][int(part.partition("-")[2]) - 2]

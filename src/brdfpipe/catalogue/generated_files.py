@@ -94,6 +94,9 @@ index_uncertainty: 0.005
 # A paint with effect pigments: its colours at three geometries or more, from a multi-angle instrument; it needs nothing else.
 multiangle: {{file: colours.csv, illuminant: D65, observer: 10, index: 1.5, model: flake-physical}}
 
+# A table of the BSDF from another program or instrument; it needs nothing else.
+table: {{file: vinyl.bsdf, format: zemax}}
+
 # A clear body: light passes it, `surface` is its front, and there is no `spectrum`.
 slab: {{thickness: 2, internal_transmittance: 0.95, transmittance_uncertainty: 0.005, back: same}}
 
@@ -136,6 +139,7 @@ def key_tables() -> dict[str, dict[str, str]]:
             "spectrum": rendering.table(keys.Spectrum, "spectrum."),
             "slab": rendering.table(keys.Slab, "slab.", nested=False),
             "multiangle": rendering.table(keys.Multiangle, "multiangle."),
+            "table": rendering.table(keys.TableFile, "table."),
             "model": rendering.table(keys.Model, "model."),
             "config": rendering.table(Config),
             "formats of surfaces": _format_table(SURFACE_FORMATS, "Needs"),

@@ -15,13 +15,13 @@ from brdfpipe.descriptions import reading
 from brdfpipe.errors import BrdfpipeError, InputError
 from brdfpipe.scenes.scene import Scene, is_file, load_scene
 
-FILE_PARTS = ("surface", "index", "spectrum", "multiangle")
+FILE_PARTS = ("surface", "index", "spectrum", "multiangle", "table")
 """Parts of a description that may name a raw file."""
 
 INTERIOR = ("internal_transmittance", "absorption")
 """Keys of ``slab`` that may name a raw file."""
 
-ROUTES = (("rig", "measured"), ("multiangle", "flake"))
+ROUTES = (("rig", "measured"), ("table", "imported"), ("multiangle", "flake"))
 """Parts of a description with a BSDF of their own, the preferred one first; without them the BSDF is predicted."""
 
 
@@ -38,7 +38,7 @@ class Material:
     """What its results are for."""
 
     def has(self, part: str) -> bool:
-        """Whether the description has a part: surface, index, spectrum, multiangle, slab, back (a face of its own), or what a prediction needs."""
+        """Whether the description has a part: surface, index, spectrum, multiangle, table, slab, back (a face of its own), or what a prediction needs."""
         if part == "predicted":
             # Beside another route a spectrum alone is no prediction of a perfect diffuser.
             alone = not any(self.has(other) for other, _ in ROUTES)

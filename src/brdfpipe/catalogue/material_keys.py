@@ -23,7 +23,7 @@ from brdfpipe.descriptions.keys import (
     mapping_or_value,
 )
 from brdfpipe.errors import InputError
-from brdfpipe.exchange.registry import FORMATS, WRITTEN
+from brdfpipe.exchange.registry import FORMATS, QUANTITIES, WRITTEN
 from brdfpipe.masking.modes import (
     HALOS,
     MASKINGS_OF_MULTIPLE_SCATTERING,
@@ -39,6 +39,9 @@ from brdfpipe.masking.modes import (
 )
 
 EXPORT_WORDS = "; ".join(f"{name}: {FORMATS[name].description}" for name in WRITTEN)
+
+READABLE_TABLES = tuple(name for name, format in FORMATS.items() if format.read)
+"""Formats of other programs that are read."""
 
 UNITS = ("nm", "um", "mm", "m")
 
@@ -644,6 +647,23 @@ class MultiangleColours(_Multiangle):
 Multiangle = Annotated[MultiangleFile | MultiangleColours, Choice(by_key("file", "colours"), (("file", "colours"),))]
 
 
+# --- table
+
+
+class TableFile(Keys):
+    """A table of a BSDF in a file of another program or instrument."""
+
+    file: str = _file("the table", "a file of a BSDF", stage="imported")
+    format: Annotated[str, OneOf(READABLE_TABLES)] = key(
+        "format of the file", default_words="that of its suffix and its beginning", stage="imported"
+    )
+    quantity: Annotated[str, OneOf(QUANTITIES)] = key(
+        "what the values are: brdf, brdf_cos (BRDF times cos θ_o) or pi_brdf (reflectance factors)",
+        default_words="what the format or the file says",
+        stage="imported",
+    )
+
+
 # --- rig
 
 
@@ -835,7 +855,10 @@ class Model(Keys):
 class Material(Keys):
     """One material of a catalogue, as a laboratory knows it."""
 
-    at_least_one = ("surface", "spectrum", "multiangle", "rig")
+    at_least_one = ("surface", "spectrum", "multiangle", "table", "rig")
+    not_together = tuple(
+        ("table", other) for other in ("surface", "index", "slab", "spectrum", "multiangle", "rig", "model")
+    )
     requires = {"surface": "index", "slab": "surface", "index_uncertainty": "index"}  # noqa: RUF012
 
     name: str = key(NAME_WORDS, default_words="the name of the folder", pattern=f"^{NAME}$")
@@ -866,6 +889,10 @@ class Material(Keys):
     multiangle: Multiangle = key(
         "colours of an effect paint at several geometries {file or colours, illuminant, observer, index, form, …}",
         details="See [effect pigments](#effect-pigments).",
+    )
+    table: TableFile = key(
+        "a table of the BSDF, from another program or instrument {file, format, quantity}",
+        details="It needs nothing else. See [tables of other programs](#tables-of-other-programs).",
     )
     rig: RigRoute = key(
         "a measurement with a camera rig {run, calibration, …}, or one that the emulator makes {plan, emulate, calibration, …}",

@@ -19,6 +19,7 @@ from brdfpipe.bsdf.representations.table import Table
 from brdfpipe.errors import InputError
 from brdfpipe.geometry import Array
 from brdfpipe.spectra import colorimetry
+from brdfpipe.spectra.linear_recovery import spectra_of_tristimulus
 
 Channels = Literal["photopic", "xyz", "rgb", "spectral"]
 
@@ -27,6 +28,8 @@ INTEGRAL_LIMIT = 0.02
 RECIPROCITY_LIMIT = 0.1
 """Median relative difference of exchanged directions above which it is warned of."""
 
+_NEAR_NORMAL, _NEAR_GRAZING = 10.0, 75.0
+"""Incidences that a table has to reach to serve for all directions without a warning [degree]."""
 _HORIZON = 89.9
 _MOST_COMPARED = 4000
 
@@ -87,6 +90,9 @@ def as_bsdf(read: ReadTable, path: Path) -> xr.Dataset:
         if axis[0] < low or axis[-1] > high:
             found, accepted = f"{axis[0]:g} to {axis[-1]:g}", f"{low} to {high} degree"
             raise InputError(path, f"the angles {name} are out of range", found=found, accepted=accepted)
+    if read.channels == "rgb":
+        # Colours outside those of a screen have negative channels, not negative X, Y or Z.
+        read = _with_tristimulus(read)
     values, quality, warnings = _completed(_as_brdf(read), read, path)
     read, values, quality = _with_two_nodes(read, values, quality)
     if read.relative:
@@ -98,16 +104,19 @@ def as_bsdf(read: ReadTable, path: Path) -> xr.Dataset:
         table = table.assign_coords(wavelength=read.wavelength)
         table["brdf"] = (*names, "wavelength"), values
     else:
-        xyz = _tristimulus(values, read.channels)
-        table["brdf"] = names, values[..., 0] if xyz is None else xyz[..., 1]
-        if xyz is not None:
-            table["brdf_xyz"] = (*names, "component"), xyz
-            table = table.assign_coords(component=["X", "Y", "Z"]).assign_attrs(illuminant="D65", observer=2)
+        has_colours = read.channels == "xyz"
+        table["brdf"] = names, values[..., 1 if has_colours else 0]
+        if has_colours:
+            table = table.assign_coords(wavelength=colorimetry.GRID, component=["X", "Y", "Z"])
+            table["brdf_xyz"] = (*names, "component"), values
+            table["spectrum_of_xyz"] = ("wavelength", "component"), spectra_of_tristimulus("D65", 2)
+            table = table.assign_attrs(illuminant="D65", observer=2)
     table["brdf_quality"] = names, quality
     if "theta_o" in read.axes and read.axes["theta_o"][-1] > 90:
         table.attrs["transmission"] = "slab"
     table = vocabulary.label(table, "bsdf")
-    warnings += _declared(read, table) + _reciprocity(table)
+    luminous = table.drop_dims(["wavelength", "component"]) if "brdf_xyz" in table else table
+    warnings += _declared(read, luminous) + _reciprocity(luminous) + _incidences(read)
     return vocabulary.add_warning(vocabulary.add_history(table, *read.notes), *read.warnings, *warnings)
 
 
@@ -233,14 +242,11 @@ def _on_declared_scale(read: ReadTable, values: Array, path: Path) -> tuple[Arra
     return scaled, [f"{text}: as these differ, the table may be too coarse for its lobe"]
 
 
-def _tristimulus(values: Array, channels: Channels) -> Array | None:
-    """X, Y and Z of colours, Y of a perfect white diffuser is 1/π; None without colours."""
-    if channels == "xyz":
-        return values
-    if channels == "rgb":
-        to_rgb = colorimetry.srgb_from_xyz(colorimetry.weights("D65", 2).white) * 100
-        return np.asarray(np.maximum(values @ np.linalg.inv(to_rgb).T, 0.0))
-    return None
+def _with_tristimulus(read: ReadTable) -> ReadTable:
+    """X, Y and Z, in place of linear sRGB under D65; Y of a perfect white diffuser is 1/π."""
+    to_xyz = np.linalg.inv(colorimetry.srgb_from_xyz(colorimetry.weights("D65", 2).white) * 100).T
+    declared = None if read.declared_integral is None else read.declared_integral @ to_xyz
+    return replace(read, values=read.values @ to_xyz, declared_integral=declared, channels="xyz")
 
 
 def _declared(read: ReadTable, table: xr.Dataset) -> list[str]:
@@ -248,7 +254,7 @@ def _declared(read: ReadTable, table: xr.Dataset) -> list[str]:
     if read.declared_integral is None or "theta_i" not in read.axes:
         return []
     declared = read.declared_integral.reshape(-1, *read.declared_integral.shape[-2:])[0]
-    channel = 1 if read.channels in ("xyz", "rgb") else declared.shape[-1] // 2
+    channel = 1 if read.channels == "xyz" else declared.shape[-1] // 2
     angles = read.axes["theta_i"][: declared.shape[0]]
     own = np.array([_integral(table, float(angle), channel if read.channels == "spectral" else 0) for angle in angles])
     stated = declared[:, channel]
@@ -268,6 +274,17 @@ def _declared(read: ReadTable, table: xr.Dataset) -> list[str]:
         f"the integral of the values differs from the reflectance that the file declares by up to {abs(ratio[worst] - 1):.0%}: {listed}; "
         "the values were not rescaled"
     ]
+
+
+def _incidences(read: ReadTable) -> list[str]:
+    """What holds beyond the incidences of the file."""
+    if read.layout == "half":
+        return []
+    low, high = float(read.axes["theta_i"][0]), float(read.axes["theta_i"][-1])
+    if low <= _NEAR_NORMAL and high >= _NEAR_GRAZING:
+        return []
+    text = f"the file has incidences from {low:g} to {high:g} degree; beyond them the values of the nearest hold"
+    return [text if read.layout == "uniform" else f"{text}, about the mirror direction"]
 
 
 def _integral(table: xr.Dataset, theta_i: float, channel: int) -> float:

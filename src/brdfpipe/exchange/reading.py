@@ -27,7 +27,7 @@ def read(path: str | os.PathLike[str], format: str | None = None, *, quantity: s
 
     Returns
     -------
-    Dataset of kind ``bsdf``, see :func:`brdfpipe.exchange.read_table.as_bsdf`
+    Dataset of kind ``bsdf``, see :func:`brdfpipe.exchange.read_table.as_bsdf`; attribute ``file_format``
 
     Raises
     ------
@@ -42,7 +42,8 @@ def read(path: str | os.PathLike[str], format: str | None = None, *, quantity: s
         raise InputError(path, "no such file", accepted="a file of a BSDF", key="table.file")
     declared = format_of(path, format)
     found = declared.function(declared.read)(path)
-    return as_bsdf(found if quantity is None else replace(found, quantity=quantity), path)
+    bsdf = as_bsdf(found if quantity is None else replace(found, quantity=quantity), path)
+    return bsdf.assign_attrs(file_format=declared.name)
 
 
 def format_of(path: Path, name: str | None = None) -> Format:

@@ -39,6 +39,7 @@ class Table(Representation):
             "brdf_u": _NODES,
             "brdf_quality": [nodes for nodes in _NODES if "wavelength" not in nodes],
             "brdf_xyz": [(*nodes, "component") for nodes in _NODES if "wavelength" not in nodes],
+            "spectrum_of_xyz": [("wavelength", "component")],
             "total_reflectance": vocabulary.SPECTRAL,
             "theta_m": vocabulary.SCALAR,
         },
@@ -52,10 +53,11 @@ class Table(Representation):
         self._grid = grid = layout_of(brdf.dims)
         self._names = names = grid.named(grid.azimuth in brdf.dims)
         self._axes = axes = {name: dataset[name].values for name in names}
-        brdf = brdf.transpose(*names, ...)
-        self._values = per_wavelength(lambda wavelength: _spectral_values(brdf, wavelength))
+        self._has_colours = "spectrum_of_xyz" in dataset
+        stored = (dataset["brdf_xyz"] if self._has_colours else brdf).transpose(*names, ...)
+        self._values = per_wavelength(lambda wavelength: _stored_values(stored, wavelength))
         self._interpolators = per_wavelength(
-            lambda wavelength: _interpolators_by_side(grid, axes, _spectral_values(brdf, wavelength))
+            lambda wavelength: _interpolators_by_side(grid, axes, _stored_values(stored, wavelength))
         )
 
     def evaluate(self, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array, wavelength: Array | None) -> Array:
@@ -63,6 +65,12 @@ class Table(Representation):
 
         The two sides of the surface are interpolated separately; a side with fewer than two nodes gives 0.
         """
+        return self._by_wavelength(self._interpolated(theta_i, phi_i, theta_o, phi_o, wavelength), wavelength)
+
+    def _interpolated(
+        self, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array, wavelength: Array | None
+    ) -> Array:
+        """As :meth:`evaluate`, or X, Y and Z of a table of colours, (directions…, 3)."""
         interpolators, width = self._interpolators(wavelength), self._values(wavelength).shape[-1]
         one = as_numbers(theta_i, phi_i, theta_o, phi_o)
         if one is not None:
@@ -86,11 +94,16 @@ class Table(Representation):
         self, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array, illuminant: str, observer: int
     ) -> Array | None:
         given = self.dataset.attrs.get("illuminant"), self.dataset.attrs.get("observer")
-        if "brdf_xyz" not in self.dataset or given != (illuminant, observer):
+        if not self._has_colours or given != (illuminant, observer):
             return None
-        # Wavelengths stand for X, Y and Z: both are interpolated alike.
-        values = self.dataset["brdf_xyz"].rename(component="wavelength").assign_coords(wavelength=[400.0, 500.0, 600.0])
-        return Table(xr.Dataset({"brdf": values})).evaluate(theta_i, phi_i, theta_o, phi_o, None) * 100 * np.pi
+        return self._interpolated(theta_i, phi_i, theta_o, phi_o, None) * 100 * np.pi
+
+    def _by_wavelength(self, values: Array, wavelength: Array | None) -> Array:
+        """Values (…, 3) of a table of colours as a recovered spectrum (…, wavelength), which is never negative; those of other tables as they are."""
+        if not self._has_colours:
+            return values
+        spectra = at_wavelengths(self.dataset["spectrum_of_xyz"].transpose("component", "wavelength"), wavelength)
+        return np.maximum(values @ spectra, 0.0)
 
     def albedo(self, theta_i: Array, phi_i: Array, wavelength: Array | None) -> Array:
         """Directional reflectance [1], (incidences…, wavelength); for a uniform table the exact integral of its interpolation.
@@ -105,7 +118,7 @@ class Table(Representation):
         names = self._names[:-2]
         coordinates = self._folded(names, incidence)
         interpolate = _linear([self._axes[name] for name in names], sums)
-        albedo = interpolate([coordinates[name] for name in names])
+        albedo = self._by_wavelength(interpolate([coordinates[name] for name in names]), wavelength)
         return np.where(theta_i[..., None] < 90, albedo.reshape(*theta_i.shape, albedo.shape[-1]), 0.0)
 
     @property
@@ -137,6 +150,8 @@ class Table(Representation):
         return theta_i.ravel(), phi_i.ravel()
 
     def nonspectral(self, weight: Array) -> xr.Dataset:
+        if self._has_colours:
+            return vocabulary.label(self.dataset.drop_dims(["wavelength", "component"]), "bsdf")
         response = xr.DataArray(weight, dims="wavelength")
         fields = {name: data @ response for name, data in self.dataset.data_vars.items() if "wavelength" in data.dims}
         return vocabulary.label(self.dataset.drop_dims("wavelength").assign(fields), "bsdf")
@@ -159,9 +174,10 @@ Interpolate = Callable[[Sequence[Array]], Array]
 """From coordinates, (points,) each, to values, (points, wavelength)."""
 
 
-def _spectral_values(brdf: xr.DataArray, wavelength: Array | None) -> Array:
-    values = at_wavelengths(brdf, wavelength)
-    return values if "wavelength" in brdf.dims else values[..., None]
+def _stored_values(field: xr.DataArray, wavelength: Array | None) -> Array:
+    """(nodes…, wavelength), or (nodes…, 3) of X, Y and Z."""
+    values = at_wavelengths(field, wavelength)
+    return values if {"wavelength", "component"} & set(field.dims) else values[..., None]
 
 
 def _interpolators_by_side(grid: Grid, axes: Mapping[str, Array], values: Array) -> dict[tuple[int, int], Interpolate]:

@@ -125,6 +125,11 @@ def _no_conditions(datasets: Mapping[str, xr.Dataset]) -> str:
     """Why there is no statement on trust; empty for a measured BRDF, whose uncertainty is its own."""
     if is_measured(datasets) or "bsdf" not in datasets:
         return ""
+    if route(datasets) == "imported":
+        return (
+            "The BRDF is the table of a file, interpolated between its nodes. The file does not say how well it was measured or computed; "
+            "the checks and warnings say where it contradicts itself or physics."
+        )
     if "surface" in datasets:
         return "No condition of the model was judged: the surface is perfectly flat, or no facets were counted."
     return (
