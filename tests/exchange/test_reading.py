@@ -9,14 +9,24 @@ import numpy as np
 import pytest
 import samples
 
+from brdfpipe import facets
 from brdfpipe.appearance import colours
+from brdfpipe.bsdf import slab
 from brdfpipe.errors import InputError
 from brdfpipe.exchange import reading
 from brdfpipe.exchange.read_table import ReadTable, as_bsdf
-from brdfpipe.exchange.registry import write
+from brdfpipe.exchange.registry import ExchangeError, write
 from brdfpipe.spectra.colorimetry import delta_e_00
 
 THETA_I, THETA_S, PHI_S = np.array([0.0, 30.0, 80.0]), np.linspace(0, 150, 31), np.linspace(0, 180, 19)
+
+
+TRANSMITTING = (
+    ".transmission.zemax.bsdf",
+    ".ddt",
+    ".transmission.lighttools.bsdf",
+    ".mbsdf",
+)
 
 
 def table(values=0.1, **options) -> ReadTable:
@@ -147,3 +157,44 @@ def test_what_cannot_be_read_is_refused_with_the_key_to_set(tmp_path, name, form
     with pytest.raises(InputError, match=message) as refusal:
         reading.read(tmp_path / name, format, quantity=quantity)
     assert "`table." in str(refusal.value)
+
+
+@pytest.fixture(scope="module")
+def sheet():
+    rough = facets.analytic("beckmann", 0.3)
+    return slab.build(rough, rough, index=1.5, internal_transmittance=0.9)
+
+
+@pytest.mark.parametrize("suffix", TRANSMITTING)
+def test_light_that_passes_a_sheet_is_written_and_read(sheet, tmp_path, suffix):
+    path = tmp_path / f"sheet{suffix}"
+    write(sheet, path, tolerance=0.05, albedo_tolerance=0.01)
+    record = json.loads(Path(f"{path}.json").read_text())
+    assert record["error"]["within_tolerance"]
+    assert "transmission" not in record["left_out"]
+    back, plain = reading.read(path).bsdf.nonspectral(), sheet.bsdf.nonspectral()
+    for theta_i in (10.0, 45.0):
+        assert float(back.bsdf.transmittance(theta_i)) == pytest.approx(
+            float(plain.bsdf.transmittance(theta_i)), rel=0.01
+        )
+    if suffix != ".mbsdf":
+        assert float(back.bsdf.albedo(45.0)) == 0.0
+    # Beside the ray that goes straight on, on both sides of the plane of incidence and off it.
+    for theta_o, phi_o in ((150.0, 220.0), (140.0, 220.0), (165.0, 200.0)):
+        expected = float(plain.bsdf.evaluate(30, 40, theta_o, phi_o))
+        assert float(back.bsdf.evaluate(30, 40, theta_o, phi_o)) == pytest.approx(expected, rel=0.1)
+
+
+@pytest.mark.parametrize("suffix", [".zemax.bsdf", ".ddr", ".lighttools.bsdf"])
+def test_a_file_of_reflected_light_errs_by_its_own_side_alone(sheet, tmp_path, suffix):
+    path = tmp_path / f"sheet{suffix}"
+    write(sheet, path, tolerance=0.05, albedo_tolerance=0.01)
+    assert json.loads(Path(f"{path}.json").read_text())["error"]["within_tolerance"]
+    plain = sheet.bsdf.nonspectral()
+    assert float(reading.read(path).bsdf.albedo(30.0)) == pytest.approx(float(plain.bsdf.albedo(30.0)), rel=0.02)
+
+
+@pytest.mark.parametrize("suffix", TRANSMITTING[:3])
+def test_a_material_that_no_light_passes_has_no_file_of_transmitted_light(tmp_path, suffix):
+    with pytest.raises(ExchangeError, match="no sheet"):
+        write(samples.beckmann_bsdf(0.3), tmp_path / f"grey{suffix}")

@@ -139,7 +139,7 @@ def test_options_out_of_range_are_refused(grey, tmp_path, name, value):
     ("old", "new", "message"),
     [
         ("SpectralContent  Monochrome", "SpectralContent  Infrared", "SpectralContent"),
-        ("ScatterType  BRDF", "ScatterType  BTDF", "transmitted"),
+        ("ScatterType  BRDF", "ScatterType  BXDF", "unknown ScatterType"),
         ("DataBegin", "DataBgin", "DataBegin"),
         ("TIS", "SIT", "begins with TIS"),
         ("ScatterRadial  ", "ScatterRadial  9", "numbers|out of range"),

@@ -9,7 +9,7 @@ import click
 
 from brdfpipe.cli.console import FILE, exit_on_error
 from brdfpipe.errors import printable
-from brdfpipe.exchange.registry import FORMATS, GRID_OPTIONS, QUANTITIES, RECORD
+from brdfpipe.exchange.registry import FORMATS, GRID_OPTIONS, QUANTITIES, RECORD, WRITTEN
 
 _READ = click.Choice([name for name, known in FORMATS.items() if known.read])
 _QUANTITY = click.Choice(QUANTITIES)
@@ -18,7 +18,7 @@ _QUANTITY = click.Choice(QUANTITIES)
 @click.command(short_help="Write the BSDF of file IN as file OUT.")
 @click.argument("source", metavar="IN", type=FILE)
 @click.argument("target", metavar="OUT", type=click.Path(path_type=Path, dir_okay=False))
-@click.option("--format", type=click.Choice(list(FORMATS)), default=None, help="Of OUT  [default: that of its suffix]")
+@click.option("--format", type=click.Choice(WRITTEN), default=None, help="Of OUT  [default: that of its suffix]")
 @click.option("--from", "read_as", type=_READ, default=None, help="Format of IN  [default: that of its suffix]")
 @click.option(
     "--quantity", type=_QUANTITY, default=None, help="What the values of IN are  [default: what the file says]"

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
+from pathlib import Path
 
 import numpy as np
 import xarray as xr
@@ -16,6 +17,7 @@ from brdfpipe.appearance.colours import xyz_of
 from brdfpipe.bsdf import table_nodes
 from brdfpipe.bsdf.grids import GRIDS
 from brdfpipe.bsdf.nonspectral import nonspectral
+from brdfpipe.bsdf.one_side import Side, one_side
 from brdfpipe.bsdf.registry import representation
 from brdfpipe.bsdf.table_error import TableError, rules
 from brdfpipe.bsdf.tabulation import values_on_nodes
@@ -35,6 +37,16 @@ class Channels:
     """From its values (…, wavelength) to (…, channels)"""
     wavelength: Array | None = None
     """(channels,) nm, of a spectral table"""
+
+
+def side_of(bsdf: xr.Dataset, side: Side, path: Path) -> xr.Dataset:
+    """One side of a BSDF as a BSDF that reflects alone, see :mod:`brdfpipe.bsdf.one_side`.
+
+    Raises ExchangeError: no light passes to the other side, into air.
+    """
+    if side == "transmission" and not representation(bsdf).is_slab:
+        raise ExchangeError(f"{path.name}: the material is no sheet, so no light passes to the air behind it")
+    return one_side(bsdf, side)
 
 
 def photopic(bsdf: xr.Dataset) -> Channels:

@@ -1,4 +1,4 @@
-"""Integra's Lumicept and Inspirer: diffuse distribution of reflected light, text (``.ddr``).
+"""Integra's Lumicept and Inspirer: diffuse distribution of reflected (``.ddr``) and transmitted light (``.ddt``), text.
 
 Angles of scatter are counted about the specular ray, as in a Zemax file: ``theta`` from it, ``phi`` 0 towards the normal, counter-clockwise. ``sigma`` is
 the angle of incidence and ``psi`` its azimuth. Values of a channel have the unit π·BRDF / kbdf (``Luminance Absolute``), where ``kbdf`` is the
@@ -12,7 +12,7 @@ Voloboy et al. 2005 (Keldysh Institute preprint), angles about the specular ray;
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -22,6 +22,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from brdfpipe import store
+from brdfpipe.bsdf.one_side import Side
 from brdfpipe.errors import InputError
 from brdfpipe.exchange import gridded, number_text, records
 from brdfpipe.exchange.azimuths import circle, closed
@@ -32,9 +33,9 @@ from brdfpipe.geometry import Array
 
 FORMAT = Format(
     description="a table about the specular ray, for Integra's Lumicept and Inspirer",
-    files={"reflection": {"write": (".ddr",)}},
+    files={"reflection": {"write": (".ddr",)}, "transmission": {"write_transmission": (".ddt",)}},
     takes="grid",
-    carries=("lay", "colour", "spectrum"),
+    carries=("transmission", "lay", "colour", "spectrum"),
     options={"colour": "bw"},
     read="read",
 )
@@ -43,7 +44,10 @@ _COLOURS = ("bw", "rgb", "spectral")
 _RGB = ("red", "gre", "blu")
 _SYMMETRIES = ("axisymmetrical", "dirsymmetrical", "planesymmetrical", "asymmetrical", "asymmetrical 4d")
 _AXES = {"psi": "phi_i", "sigma": "theta_i", "phi": "phi_s", "theta": "theta_s"}
-_VALUES = "BRDF in sr-1, not multiplied by the cosine, is value kbdf / pi; kbdf is the reflectance of this table itself"
+_VALUES = {
+    side: f"{text}: value kbdf / pi, where kbdf is the share of the light that this table itself sends there"
+    for side, text in records.VALUES.items()
+}
 _MOST_VALUES = 40_000_000
 
 
@@ -61,11 +65,21 @@ def write(bsdf: xr.Dataset, path: Path, *, colour: str = "bw", **grid: Any) -> r
     ------
     ExchangeError : an option is unknown or out of range.
     """
+    return _write(bsdf, path, "reflection", colour, grid)
+
+
+def write_transmission(bsdf: xr.Dataset, path: Path, *, colour: str = "bw", **grid: Any) -> records.Record:
+    """Write the light that passes a sheet, about the ray that goes straight on; as :func:`write`."""
+    return _write(bsdf, path, "transmission", colour, grid)
+
+
+def _write(bsdf: xr.Dataset, path: Path, side: Side, colour: str, grid: Mapping[str, Any]) -> records.Record:
     if colour not in _COLOURS:
         raise ExchangeError(f"colour is {colour!r}; accepted: {', '.join(_COLOURS)}")
-    channels, names = _channels(bsdf, colour)
-    table = gridded.gridded(bsdf, "specular", channels, **grid)
-    record = records.record(table, FORMAT)
+    seen = gridded.side_of(bsdf, side, path)
+    channels, names = _channels(seen, colour)
+    table = gridded.gridded(seen, "specular", channels, **grid)
+    record = records.record(table, FORMAT, bsdf)
     azimuths = table.axes["phi_i"].size if "phi_i" in table.axes else 1
     blocks, shares = [], np.empty((azimuths, table.axes["theta_i"].size, table.channel_count))
     for row, theta_i in enumerate(table.axes["theta_i"]):
@@ -75,7 +89,7 @@ def write(bsdf: xr.Dataset, path: Path, *, colour: str = "bw", **grid: Any) -> r
         blocks.append((values if "phi_i" in table.axes else values[None]).astype(np.float32))
     kbdf = np.array([float(f"{share:.6g}") for share in shares.ravel()]).reshape(shares.shape)
     with store.atomic_path(path) as temporary, temporary.open("wb") as file:
-        file.writelines(_header(table, records.sentences(record, _VALUES)))
+        file.writelines(_header(table, records.sentences(record, _VALUES[side]), side))
         for channel, name in enumerate(names):
             file.writelines(_data(name, [block[..., channel] for block in blocks], kbdf[..., channel]))
     return record
@@ -91,7 +105,7 @@ def _channels(bsdf: xr.Dataset, colour: str) -> tuple[gridded.Channels, tuple[st
     return gridded.photopic(bsdf), ("bw",)
 
 
-def _header(table: gridded.Gridded, notes: list[str]) -> Iterator[bytes]:
+def _header(table: gridded.Gridded, notes: list[str], side: Side) -> Iterator[bytes]:
     symmetry = "PlaneSymmetrical" if table.axes["phi_s"][-1] <= 180 else "ASymmetrical"
     symmetry = "ASymmetrical 4D" if "phi_i" in table.axes else symmetry
     model = {1: "BW", 3: "RGB"}.get(table.channel_count, "") if table.channels.wavelength is None else ""
@@ -103,7 +117,10 @@ def _header(table: gridded.Gridded, notes: list[str]) -> Iterator[bytes]:
     for name, axis in _AXES.items():
         if axis in table.axes:
             angles = table.axes[axis]
-            yield f"{name} {angles.size}\n{' '.join(f'{angle:g}' for angle in angles)}\n".encode()
+            listed = f"{angles.size}\n{' '.join(f'{angle:g}' for angle in angles)}\n"
+            yield f"{name} {listed}".encode()
+            if side == "transmission" and name == "sigma":
+                yield f"sigmaT {listed}".encode()
 
 
 def _data(name: str, blocks: list[NDArray[np.float32]], kbdf: Array) -> Iterator[bytes]:
@@ -166,8 +183,13 @@ def _read_header(lines: Lines, path: Path) -> tuple[dict[str, str], dict[str, Ar
         if key in ("bw", "wl", *_RGB, "green", "blue"):
             break
         if key == "sigmat":
-            raise lines.error("a table of transmitted light is not read", found="sigmaT", accepted="reflection")
-        if key in _AXES:
+            count, _, begun = rest.partition(" ")
+            straight = lines.gathered(lines.count(count, 4000), key, begun)
+            if not np.array_equal(straight, axes.get("theta_i", np.empty(0))):
+                found, accepted = f"{straight[0]:g} to {straight[-1]:g}", "the angles sigma, as of a sheet in air"
+                raise lines.error("light is transmitted about refracted directions", found=found, accepted=accepted)
+            header[key] = "straight"
+        elif key in _AXES:
             count, _, begun = rest.partition(" ")
             axes[_AXES[key]] = lines.gathered(lines.count(count, 4000), key, begun)
         elif key in ("source", "typesym", "typecolormodel", "typedata"):
@@ -230,6 +252,7 @@ def _table(
         wavelength=wavelength if content == "spectral" else None,
         declared_integral=kbdf if with_lay else kbdf[0],
         quantity="brdf" if unit == "luminance" else "brdf_cos",
+        side="transmission" if "sigmat" in header or path.suffix.lower() == ".ddt" else "reflection",
         relative=relative,
         notes=("relative values, on the scale of kbdf",) if relative else (),
     )

@@ -77,8 +77,6 @@ def write(bsdf: xr.Dataset, path: Path) -> records.Record:
     error = cell_means.table_error(bsdf, lambda *at: _lookup(means, *at[:4]), transmission=model.is_slab)
     stacked = np.stack(list(means.values()))[..., None]
     record = records.record(cell_means.CellTable(bsdf, stacked, error, "one value for each patch"), FORMAT)
-    if model.transmits and not model.is_slab:
-        record["left_out"]["transmission"] = "the light that passes into the body"
     with store.atomic_path(path) as temporary, temporary.open("wb") as file:
         file.writelines(_document(record, means))
     return record

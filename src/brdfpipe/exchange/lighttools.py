@@ -10,7 +10,7 @@ libbsdf (reader, 2026), which takes one ``POI`` per file.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -18,6 +18,7 @@ import numpy as np
 import xarray as xr
 
 from brdfpipe import store
+from brdfpipe.bsdf.one_side import Side
 from brdfpipe.errors import InputError
 from brdfpipe.exchange import gridded, number_text, records
 from brdfpipe.exchange.azimuths import closed, from_source_at, with_source_at
@@ -28,14 +29,18 @@ from brdfpipe.geometry import Array
 
 FORMAT = Format(
     description="a table about the normal, for LightTools",
-    files={"reflection": {"write": (".lighttools.bsdf",)}},
+    files={
+        "reflection": {"write": (".lighttools.bsdf",)},
+        "transmission": {"write_transmission": (".transmission.lighttools.bsdf",)},
+    },
     takes="grid",
-    carries=("lay", "colour"),
+    carries=("transmission", "lay", "colour"),
     options={"colour": False},
     read="read",
     begins=("\nAOI",),
 )
 
+_SIDES = {"brdf": "reflection", "btdf": "transmission"}
 _TRISTIMULUS = ("TrisX", "TrisY", "TrisZ")
 _SOURCE = 90.0
 """Azimuth of the source [degree]."""
@@ -59,12 +64,22 @@ def write(bsdf: xr.Dataset, path: Path, *, colour: bool = False, **grid: Any) ->
     ------
     ExchangeError : an option is out of range.
     """
-    channels = gridded.tristimulus(bsdf) if colour else gridded.photopic(bsdf)
-    table = gridded.gridded(bsdf, "uniform", channels, **grid).reflecting_side()
-    record = records.record(table, FORMAT)
+    return _write(bsdf, path, "reflection", colour, grid)
+
+
+def write_transmission(bsdf: xr.Dataset, path: Path, *, colour: bool = False, **grid: Any) -> records.Record:
+    """Write the light that passes a sheet from its front; as :func:`write`."""
+    return _write(bsdf, path, "transmission", colour, grid)
+
+
+def _write(bsdf: xr.Dataset, path: Path, side: Side, colour: bool, grid: Mapping[str, Any]) -> records.Record:
+    seen = gridded.side_of(bsdf, side, path)
+    channels = gridded.tristimulus(seen) if colour else gridded.photopic(seen)
+    table = gridded.gridded(seen, "uniform", channels, **grid)
+    record = records.record(table, FORMAT, bsdf)
     with store.atomic_path(path) as temporary, temporary.open("wb") as file:
-        file.writelines(_header(table, [*records.sentences(record), _AZIMUTHS], colour))
-        file.writelines(_data(table, colour))
+        file.writelines(_header(table, [*records.sentences(record, records.VALUES[side]), _AZIMUTHS], colour))
+        file.writelines(_data(table, side, colour))
         file.write(b"DataEnd\n")
     return record
 
@@ -80,15 +95,16 @@ def _header(table: gridded.Gridded, notes: list[str], colour: bool) -> Iterator[
     yield b"DataBegin\n"
 
 
-def _data(table: gridded.Gridded, colour: bool) -> Iterator[bytes]:
+def _data(table: gridded.Gridded, side: Side, colour: bool) -> Iterator[bytes]:
     """Blocks by incidence, its azimuth and colour; rows by azimuth."""
     with_lay = "phi_i" in table.axes
+    scatter = "BRDF" if side == "reflection" else "BTDF"
     for theta_i, of_incidence, reflectance in table.blocks():
         for number, phi_i in enumerate(table.axes["phi_i"] if with_lay else np.zeros(1)):
             values, tis = (of_incidence[number], reflectance[number]) if with_lay else (of_incidence, reflectance)
             for channel, name in enumerate(_TRISTIMULUS if colour else ("",)):
                 _, rows = with_source_at(_SOURCE, table.axes["phi_o"], np.maximum(values[..., channel], 0.0))
-                head = f"AOI {theta_i:g}\nPOI {phi_i:g}\nSide Front\nWavelength {_PHOTOPIC:g}\nScatterType BRDF\n"
+                head = f"AOI {theta_i:g}\nPOI {phi_i:g}\nSide Front\nWavelength {_PHOTOPIC:g}\nScatterType {scatter}\n"
                 head += f"TristimulusValue {name}\n" if colour else ""
                 yield f"{head}TIS {tis[channel]:.6f}\n".encode() + number_text.rows(rows.T, " ")
 
@@ -98,10 +114,11 @@ class _Block(NamedTuple):
     aoi: float
     wavelength: float
     tristimulus: int
+    side: str
 
 
 def read(path: Path) -> ReadTable:
-    """Read the blocks of light that the front reflects.
+    """Read the blocks of light that falls on the front: reflected, or in a file without such blocks transmitted.
 
     Raises InputError: the file contradicts itself, or is not of this format.
     """
@@ -126,9 +143,12 @@ def read(path: Path) -> ReadTable:
         raise lines.error("unknown SpectralContent", found=repr(content)[:40], accepted="Monochrome, XYZ")
     blocks, tis, passed = _blocks(lines, axes["scatterazimuth"].size, axes["scatterradial"].size, content == "xyz")
     if not blocks:
-        raise InputError(path, "no block of light that the front reflects", accepted="Side Front, ScatterType BRDF")
+        raise InputError(path, "no block of light that falls on the front", accepted="Side Front")
+    side = "reflection" if any(block.side == "reflection" for block in blocks) else "transmission"
+    chosen = {block: values for block, values in blocks.items() if block.side == side}
+    passed += len(blocks) - len(chosen)
     notes = (f"{passed} blocks of the back, or of transmitted light, were not read",) if passed else ()
-    return _table(path, axes, blocks, tis, content == "xyz", notes)
+    return _table(path, axes, chosen, {block: tis[block] for block in chosen}, content == "xyz", notes)
 
 
 def _blocks(
@@ -151,7 +171,7 @@ def _blocks(
         block = _block(lines, words, colour)
         share = lines.number(rest)
         values = lines.gathered(azimuths * radials, "values").reshape(azimuths, radials)
-        if words.get("side", "Front").lower() != "front" or words.get("scattertype", "BRDF").lower() != "brdf":
+        if words.get("side", "Front").lower() != "front":
             passed += 1
         elif block in blocks:
             raise lines.error("a block appears twice", found=f"AOI {block.aoi:g}, POI {block.poi:g}")
@@ -170,11 +190,14 @@ def _block(lines: Lines, words: dict[str, str], colour: bool) -> _Block:
     tristimulus = words.get("tristimulusvalue", "").lower()
     if colour and tristimulus not in names:
         raise lines.error("unknown TristimulusValue", found=repr(tristimulus)[:40], accepted=", ".join(_TRISTIMULUS))
+    if (scatter := words.get("scattertype", "BRDF").lower()) not in _SIDES:
+        raise lines.error("unknown ScatterType", found=repr(scatter)[:40], accepted="BRDF, BTDF")
     return _Block(
         lines.number(words.get("poi", "0")),
         lines.number(words["aoi"]),
         0.0 if colour else lines.number(words.get("wavelength", "0")),
         names.index(tristimulus) if colour else 0,
+        _SIDES[scatter],
     )
 
 
@@ -186,7 +209,7 @@ def _table(
     colour: bool,
     notes: tuple[str, ...],
 ) -> ReadTable:
-    poi, aoi, wavelength, tristimulus = (sorted(set(column)) for column in zip(*blocks, strict=True))
+    poi, aoi, wavelength, tristimulus, (side, *_) = (sorted(set(column)) for column in zip(*blocks, strict=True))
     complete = len(poi) * len(aoi) * len(wavelength) * (3 if colour else 1)
     if len(blocks) != complete or not 0 <= aoi[0] <= aoi[-1] <= 90:
         found = f"{len(blocks)} blocks with AOI {aoi[0]:g} to {aoi[-1]:g}"
@@ -216,5 +239,6 @@ def _table(
         channels=channels,
         wavelength=np.array(wavelength) if spectral else None,
         declared_integral=tis if with_lay else tis[0],
+        side=side,
         notes=notes,
     )

@@ -13,6 +13,7 @@ MDL specification 1.10, appendix B; MDL SDK (native runtime, 2025); media type v
 from __future__ import annotations
 
 import struct
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +21,8 @@ import xarray as xr
 
 from brdfpipe import store
 from brdfpipe.bsdf import table_nodes
+from brdfpipe.bsdf.one_side import Side, one_side
+from brdfpipe.bsdf.registry import representation
 from brdfpipe.bsdf.table_error import TableError
 from brdfpipe.errors import InputError
 from brdfpipe.exchange import cell_means, gridded, records
@@ -31,7 +34,7 @@ FORMAT = Format(
     description="cell means of equal angles, for NVIDIA's MDL (Omniverse, V-Ray, Substance)",
     files={"reflection": {"write": (".mbsdf",)}},
     takes="grid",
-    carries=("colour",),
+    carries=("transmission", "colour"),
     options={"colour": True},
     read="read",
 )
@@ -49,7 +52,7 @@ _LONGEST_HEADER = 65_536
 def write(
     bsdf: xr.Dataset, path: Path, *, colour: bool = True, tolerance: float, albedo_tolerance: float, largest: int
 ) -> records.Record:
-    """Write the reflecting side.
+    """Write the reflected light, and behind a sheet the transmitted light.
 
     Parameters
     ----------
@@ -63,17 +66,24 @@ def write(
     ExchangeError : an option is out of range.
     """
     gridded.check_limits(tolerance, albedo_tolerance, largest, least=2 * _FEWEST**3)
-    luminous = gridded.photopic(bsdf)
+    both: tuple[Side, ...] = ("reflection", "transmission") if representation(bsdf).is_slab else ("reflection",)
+    sides = {side: one_side(bsdf, side) for side in both}
 
     def error_at(count: int) -> TableError:
-        return _error(bsdf, cell_means.cell_means(luminous, _edges(count)))
+        return _larger(
+            _error(seen, cell_means.cell_means(gridded.photopic(seen), _edges(count))) for seen in sides.values()
+        )
 
     most = max(count for count in range(_FEWEST, 1000) if 2 * count**3 <= largest)
     count = cell_means.smallest(error_at, tolerance, albedo_tolerance, range(_FEWEST, most + 1))
-    means = cell_means.cell_means(gridded.linear_rgb(bsdf) if colour else luminous, _edges(count))
-    means, gamut = cell_means.displayable(means)
-    values = means.astype("<f4")
-    error = _error(bsdf, cell_means.luminous(values.astype(float)))
+    means = [
+        cell_means.cell_means(gridded.linear_rgb(seen) if colour else gridded.photopic(seen), _edges(count))
+        for seen in sides.values()
+    ]
+    displayed, gamut = cell_means.displayable(np.stack(means))
+    values = displayed.astype("<f4")
+    read_back = (cell_means.luminous(of_side.astype(float)) for of_side in values)
+    error = _larger(_error(seen, of_side) for seen, of_side in zip(sides.values(), read_back, strict=True))
     within = error.percentile_95 <= tolerance and error.albedo <= albedo_tolerance
     reading = "averaged over both orders of the directions and interpolated linearly between the centres of its cells"
     record = records.record(cell_means.CellTable(bsdf, values, error, reading, within), FORMAT)
@@ -83,9 +93,21 @@ def write(
         for number, sentence in enumerate(records.sentences(record)):
             escaped = sentence.replace("\\", "\\\\").replace('"', '\\"').replace("\n", " ")
             file.write(f'note_{number}="{escaped}"\n'.encode("ascii", "replace"))
-        file.write(_REFLECTION + _HEAD.pack(int(colour), count, 2 * count))
-        file.write(values.tobytes())
+        for head, of_side in zip((_REFLECTION, _TRANSMISSION), values, strict=False):
+            file.write(head + _HEAD.pack(int(colour), count, 2 * count))
+            file.write(of_side.tobytes())
     return record
+
+
+def _larger(errors: Iterable[TableError]) -> TableError:
+    """The larger errors of both sides."""
+    found = list(errors)
+    return TableError(
+        max(error.percentile_95 for error in found),
+        max(error.rms for error in found),
+        max(error.albedo for error in found),
+        sum(error.directions for error in found),
+    )
 
 
 def _edges(count: int) -> dict[str, Array]:
@@ -101,7 +123,7 @@ def _error(bsdf: xr.Dataset, means: Array) -> TableError:
 
 
 def read(path: Path) -> ReadTable:
-    """Read the reflecting side of a measured BSDF.
+    """Read the reflected light of a measured BSDF, and the transmitted light where it has cells of the same size.
 
     The values are those of the file: the order of the two directions is not averaged as a renderer does it.
 
@@ -121,13 +143,17 @@ def read(path: Path) -> ReadTable:
         if not content.startswith(_TRANSMISSION, rest):
             found, accepted = f"{len(content) - rest} bytes after the values", "MBSDF_DATA_TRANSMISSION= or nothing"
             raise InputError(path, "unexpected content", found=found, accepted=accepted)
-        _, end = _block(path, content, rest + len(_TRANSMISSION))
+        passing, end = _block(path, content, rest + len(_TRANSMISSION))
         if end != len(content):
             raise InputError(path, "unexpected content", found=f"{len(content) - end} bytes after the values")
-        notes = ("the transmitted light of the file was not read",)
+        if passing.shape == values.shape:
+            values = np.concatenate([values, passing[:, ::-1]], axis=1)
+        else:
+            notes = ("the transmitted light of the file was not read, because its cells are of another size",)
     polar = cell_means.centres(np.linspace(0.0, 90.0, values.shape[0] + 1))
     around = cell_means.centres(np.linspace(0.0, 180.0, values.shape[2] + 1))
-    axes = {"theta_i": polar, "theta_o": polar, "phi_o": around}
+    outgoing = polar if values.shape[1] == polar.size else np.concatenate([polar, 180 - polar[::-1]])
+    axes = {"theta_i": polar, "theta_o": outgoing, "phi_o": around}
     return ReadTable("uniform", axes, values, channels="rgb" if values.shape[-1] == 3 else "photopic", notes=notes)
 
 

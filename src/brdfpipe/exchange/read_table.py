@@ -59,6 +59,8 @@ class ReadTable:
     for those that declare none"""
     quality: NDArray[np.int8] | None = None
     """(axes…) :func:`brdfpipe.vocabulary.quality` of values that the reader itself derived from others; by default all are of the file"""
+    side: str = "reflection"
+    """``transmission``: the light that passes, its polar angles counted from the normal of the other side"""
     notes: tuple[str, ...] = ()
     """What the reader changed or assumed"""
     warnings: tuple[str, ...] = ()
@@ -117,6 +119,8 @@ def as_bsdf(read: ReadTable, path: Path) -> xr.Dataset:
     table = vocabulary.label(table, "bsdf")
     luminous = table.drop_dims(["wavelength", "component"]) if "brdf_xyz" in table else table
     warnings += _declared(read, luminous) + _reciprocity(luminous) + _incidences(read)
+    if read.side == "transmission":
+        table = table.assign_attrs(side="transmission", transmission="slab")
     return vocabulary.add_warning(vocabulary.add_history(table, *read.notes), *read.warnings, *warnings)
 
 

@@ -42,9 +42,9 @@ class Exported(Protocol):
     def channel_count(self) -> int: ...
 
 
-def record(table: Exported, format: Format) -> Record:
-    """Material, digest, error and losses of a table."""
-    bsdf, error = table.bsdf, table.error
+def record(table: Exported, format: Format, whole: xr.Dataset | None = None) -> Record:
+    """Material, digest, error and losses of a table; ``whole`` is the BSDF of which the table holds one side."""
+    bsdf, error = table.bsdf if whole is None else whole, table.error
     return {
         "material": str(bsdf.attrs.get("material", "unnamed")),
         "digest": str(bsdf.attrs.get("digest", "unknown")),
@@ -68,7 +68,14 @@ def comment(bsdf: xr.Dataset) -> str:
     )
 
 
-def sentences(record: Record, values: str = "BRDF in sr-1, not multiplied by the cosine") -> list[str]:
+VALUES = {
+    "reflection": "BRDF in sr-1, not multiplied by the cosine",
+    "transmission": "BTDF in sr-1, not multiplied by the cosine; the reflectance below is the transmittance, and light that goes straight on has the place of mirrored light",
+}
+"""What the numbers of a table of one side are."""
+
+
+def sentences(record: Record, values: str = VALUES["reflection"]) -> list[str]:
     """The record in words, for comments of a file; ``values`` says what its numbers are."""
     error = record["error"]
     stated = (
@@ -86,7 +93,9 @@ def sentences(record: Record, values: str = "BRDF in sr-1, not multiplied by the
 def left_out(bsdf: xr.Dataset, format: Format, channels: int) -> dict[str, str]:
     """What the BSDF has and a file of the format does not hold: property → sentence."""
     model, lost = representation(bsdf), dict[str, str]()
-    if model.transmits and "transmission" not in format.carries:
+    if model.transmits and not model.is_slab:
+        lost["transmission"] = "the light that passes into the body"
+    elif model.transmits and "transmission" not in format.carries:
         lost["transmission"] = "the light that passes to the other side"
     if not model.isotropic and "lay" not in format.carries:
         lost["lay"] = "the dependence on the azimuth of incidence: the values are the mean over it"

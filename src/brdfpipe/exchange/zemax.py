@@ -1,7 +1,7 @@
 """Zemax OpticStudio and Radiant's Imaging Sphere: tabular BSDF, text (``.bsdf``).
 
 Angles of scatter are counted about the specular ray: radial from it, azimuth 0 towards the normal. The angle of incidence is that of the specular
-ray. The order of the header is fixed. ``TIS`` is the integral of the block that follows. Values of 0 mark cells that an instrument did not
+ray, or of the ray that passes a sheet straight on. The order of the header is fixed. ``TIS`` is the integral of the block that follows. Values of 0 mark cells that an instrument did not
 measure.
 
 References
@@ -11,7 +11,7 @@ Zemax knowledge base, articles 229 and 231; libbsdf (reader, 2026).
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +19,7 @@ import numpy as np
 import xarray as xr
 
 from brdfpipe import store
+from brdfpipe.bsdf.one_side import Side
 from brdfpipe.errors import InputError
 from brdfpipe.exchange import gridded, number_text, records
 from brdfpipe.exchange.read_table import ReadTable
@@ -28,9 +29,12 @@ from brdfpipe.geometry import Array
 
 FORMAT = Format(
     description="a table about the specular ray, for Zemax OpticStudio",
-    files={"reflection": {"write": (".zemax.bsdf",)}},
+    files={
+        "reflection": {"write": (".zemax.bsdf",)},
+        "transmission": {"write_transmission": (".transmission.zemax.bsdf",)},
+    },
     takes="grid",
-    carries=("lay", "colour"),
+    carries=("transmission", "lay", "colour"),
     options={"colour": False},
     read="read",
     begins=("\nSource",),
@@ -39,6 +43,7 @@ FORMAT = Format(
 _LONGEST_NAME = 60
 """Characters of a file's name that OpticStudio reads."""
 _BLOCKS = {"monochrome": ("Monochrome",), "xyz": ("TristimulusX", "TristimulusY", "TristimulusZ")}
+_SIDES = {"brdf": "reflection", "btdf": "transmission"}
 _MOST_CELLS = 20_000_000
 
 
@@ -56,15 +61,25 @@ def write(bsdf: xr.Dataset, path: Path, *, colour: bool = False, **grid: Any) ->
     ------
     ExchangeError : the name is too long, or an option is out of range.
     """
+    return _write(bsdf, path, "reflection", colour, grid)
+
+
+def write_transmission(bsdf: xr.Dataset, path: Path, *, colour: bool = False, **grid: Any) -> records.Record:
+    """Write the light that passes a sheet, about the ray that goes straight on; as :func:`write`."""
+    return _write(bsdf, path, "transmission", colour, grid)
+
+
+def _write(bsdf: xr.Dataset, path: Path, side: Side, colour: bool, grid: Mapping[str, Any]) -> records.Record:
     if len(path.name) > _LONGEST_NAME:
         raise ExchangeError(
             f"{path.name}: OpticStudio reads names of at most {_LONGEST_NAME} characters; found {len(path.name)}"
         )
-    channels = gridded.tristimulus(bsdf) if colour else gridded.photopic(bsdf)
-    table = gridded.gridded(bsdf, "specular", channels, **grid)
-    record, blocks = records.record(table, FORMAT), list(table.blocks())
+    seen = gridded.side_of(bsdf, side, path)
+    channels = gridded.tristimulus(seen) if colour else gridded.photopic(seen)
+    table = gridded.gridded(seen, "specular", channels, **grid)
+    record, blocks = records.record(table, FORMAT, bsdf), list(table.blocks())
     with store.atomic_path(path) as temporary, temporary.open("wb") as file:
-        file.writelines(_header(table, records.sentences(record), colour))
+        file.writelines(_header(table, records.sentences(record, records.VALUES[side]), side, colour))
         for channel, block in enumerate(_BLOCKS["xyz" if colour else "monochrome"]):
             file.write(f"{block}\nDataBegin\n".encode())
             file.writelines(_data(table, blocks, channel))
@@ -72,13 +87,14 @@ def write(bsdf: xr.Dataset, path: Path, *, colour: bool = False, **grid: Any) ->
     return record
 
 
-def _header(table: gridded.Gridded, notes: list[str], colour: bool) -> Iterator[bytes]:
+def _header(table: gridded.Gridded, notes: list[str], side: Side, colour: bool) -> Iterator[bytes]:
     rotations = table.axes.get("phi_i", np.zeros(1))
     yield "".join(f"# {note}\n" for note in notes).encode("ascii", "replace")
     symmetry = "PlaneSymmetrical" if table.axes["phi_s"][-1] <= 180 else "ASymmetrical"
     symmetry = "ASymmetrical4D" if "phi_i" in table.axes else symmetry
     content = "XYZ" if colour else "Monochrome"
-    yield f"Source  Measured\nSymmetry  {symmetry}\nSpectralContent  {content}\nScatterType  BRDF\n".encode()
+    scatter = "BRDF" if side == "reflection" else "BTDF"
+    yield f"Source  Measured\nSymmetry  {symmetry}\nSpectralContent  {content}\nScatterType  {scatter}\n".encode()
     lists = {
         "SampleRotation": rotations,
         "AngleOfIncidence": table.axes["theta_i"],
@@ -127,10 +143,8 @@ def read(path: Path) -> ReadTable:
     if content not in _BLOCKS:
         accepted = "Monochrome, XYZ"
         raise InputError(path, "unknown SpectralContent", found=repr(content)[:40], accepted=accepted)
-    if header.get("scattertype", "brdf") != "brdf":
-        raise InputError(
-            path, "a table of transmitted light is not read", found=header["scattertype"][:20], accepted="BRDF"
-        )
+    if (scatter := header.get("scattertype", "brdf")) not in _SIDES:
+        raise InputError(path, "unknown ScatterType", found=repr(scatter)[:40], accepted="BRDF, BTDF")
     shape = axes["phi_i"].size, axes["theta_i"].size, axes["phi_s"].size, axes["theta_s"].size
     values, tis = np.empty((*shape, len(_BLOCKS[content]))), np.empty((*shape[:2], len(_BLOCKS[content])))
     for channel, block in enumerate(_BLOCKS[content]):
@@ -154,6 +168,7 @@ def read(path: Path) -> ReadTable:
         channels="photopic" if content == "monochrome" else "xyz",
         declared_integral=(tis if with_lay else tis[0]),
         zero_is_missing=True,
+        side=_SIDES[scatter],
     )
 
 

@@ -51,6 +51,7 @@ class Table(Representation):
         super().__init__(dataset)
         brdf = dataset["brdf"]
         self._grid = grid = layout_of(brdf.dims)
+        self._folded_over = dataset.attrs.get("side") == "transmission"
         self._names = names = grid.named(grid.azimuth in brdf.dims)
         self._axes = axes = {name: dataset[name].values for name in names}
         self._has_colours = "spectrum_of_xyz" in dataset
@@ -63,7 +64,8 @@ class Table(Representation):
     def evaluate(self, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array, wavelength: Array | None) -> Array:
         """BRDF or BTDF in sr⁻¹, (directions…, wavelength), linear between the nodes and constant beyond the outermost.
 
-        The two sides of the surface are interpolated separately; a side with fewer than two nodes gives 0.
+        The two sides of the surface are interpolated separately; a side with fewer than two nodes gives 0. In a table with the attribute
+        ``side="transmission"`` the polar angles of the outgoing light are those of the other side, from the normal there.
         """
         return self._by_wavelength(self._interpolated(theta_i, phi_i, theta_o, phi_o, wavelength), wavelength)
 
@@ -71,6 +73,8 @@ class Table(Representation):
         self, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array, wavelength: Array | None
     ) -> Array:
         """As :meth:`evaluate`, or X, Y and Z of a table of colours, (directions…, 3)."""
+        if self._folded_over:
+            theta_o = 180 - theta_o
         interpolators, width = self._interpolators(wavelength), self._values(wavelength).shape[-1]
         one = as_numbers(theta_i, phi_i, theta_o, phi_o)
         if one is not None:
@@ -124,7 +128,9 @@ class Table(Representation):
     @property
     def albedo_needs_quadrature(self) -> bool:
         """Whether the layout is not uniform or reaches below the horizon, so that there is no exact integral."""
-        return self._grid is not GRIDS["uniform"] or max(self._axes["theta_i"][-1], self._axes["theta_o"][-1]) > 90
+        if self._folded_over or self._grid is not GRIDS["uniform"]:
+            return True
+        return bool(max(self._axes["theta_i"][-1], self._axes["theta_o"][-1]) > 90)
 
     @property
     def isotropic(self) -> bool:
@@ -136,7 +142,10 @@ class Table(Representation):
         if self._grid is not GRIDS["uniform"]:
             return super().non_smooth_angles
         azimuth = self._axes["phi_o"]
-        return self._axes["theta_o"], np.unique(np.concatenate([azimuth, 360 - azimuth]) % 360)
+        polar = self._axes["theta_o"]
+        return 180 - polar[::-1] if self._folded_over else polar, np.unique(
+            np.concatenate([azimuth, 360 - azimuth]) % 360
+        )
 
     def stored_values(self) -> Array:
         values = self._values(None)
