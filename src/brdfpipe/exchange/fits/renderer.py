@@ -1,0 +1,107 @@
+"""What the formats of renderers share: the fit of their shading model, its limits and its record."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import xarray as xr
+
+from brdfpipe.bsdf.nonspectral import nonspectral
+from brdfpipe.exchange import records
+from brdfpipe.exchange.fits.fitting import Fit, Form, checked, fit, index_of, is_smooth
+from brdfpipe.exchange.fits.forms import Lobe, dielectric, nothing, schlick
+from brdfpipe.exchange.gridded import linear_rgb
+from brdfpipe.exchange.registry import Format
+from brdfpipe.geometry import Array
+from brdfpipe.optics.fresnel_equations import fresnel
+
+_METAL_EXTINCTION = 0.1
+
+
+class Fitted:
+    """A material of a renderer."""
+
+    def __init__(self, bsdf: xr.Dataset, found: Fit, colour: Array, is_metal: bool) -> None:
+        self.bsdf, self.fit = bsdf, found
+        self.colour = colour
+        """(3,) linear red, green and blue of the base, or of a metal's reflectance"""
+        self.is_metal, self.is_smooth = is_metal, is_smooth(bsdf)
+
+    @property
+    def roughness(self) -> float:
+        """The renderer's, of which the square is the width of GGX."""
+        return 0.0 if self.is_smooth else float(np.sqrt(self.fit.material.lobe.alpha))
+
+    def record(self, format: Format, form: str) -> records.Record:
+        """Material, digest, parameters, error and losses."""
+        found = self.fit
+        left_out = records.left_out(self.bsdf, format, channels=3)
+        if self.is_smooth:
+            left_out.pop("specular", None)
+        return {
+            "material": str(self.bsdf.attrs.get("material", "unnamed")),
+            "digest": str(self.bsdf.attrs.get("digest", "unknown")),
+            "parameters": {
+                "base_colour": [float(f"{value:.4f}") for value in self.colour],
+                "roughness": float(f"{self.roughness:.4f}"),
+                "index": float(f"{self.fit.index:.4f}"),
+                "metal": self.is_metal,
+            },
+            "error": {
+                "reading": f"evaluated as {form}",
+                "median": float(f"{found.median:.3g}"),
+                "percentile_95": float(f"{found.percentile_95:.3g}"),
+                "albedo": float(f"{found.albedo:.3g}"),
+                "delta_e_00": float(f"{found.delta_e:.3g}"),
+                "directions": found.directions,
+            },
+            "left_out": left_out,
+        }
+
+
+def fitted(
+    bsdf: xr.Dataset,
+    form: str,
+    under_lobe: Callable[[Lobe, Array, Array, Array, Array], Array],
+    *,
+    exact_fresnel: bool,
+    largest_error: float,
+    largest_delta_e: float,
+) -> Fitted:
+    """The parameters of a shading model with GGX, for a dielectric with a diffuse base or for a metal.
+
+    Parameters
+    ----------
+    bsdf : kind ``bsdf``
+    form : name of the shading model, for messages
+    under_lobe : see :class:`brdfpipe.exchange.fits.forms.Material`
+    exact_fresnel : Fresnel's equations for a dielectric; false: Schlick's approximation
+    largest_error, largest_delta_e : limits of the median error and of CIEDE2000
+
+    Raises
+    ------
+    ExchangeError : the fit is beyond a limit, or the surface has a lay.
+    """
+    n, k = index_of(bsdf)
+    if k > _METAL_EXTINCTION:
+        normal = _reflectance_of_metal(bsdf)
+        found = fit(bsdf, Form("ggx", lambda _: schlick(normal), nothing, n))
+        return Fitted(bsdf, checked(found, largest_error, largest_delta_e, form), normal, is_metal=True)
+    found = fit(bsdf, Form("ggx", dielectric if exact_fresnel else _schlick_of_index, under_lobe, n))
+    checked(found, largest_error, largest_delta_e, form)
+    return Fitted(bsdf, found, found.material.base, is_metal=False)
+
+
+def _schlick_of_index(index: float) -> Callable[[Array], Array]:
+    return schlick(np.full(3, float(fresnel(1.0, index).mean)))
+
+
+def _reflectance_of_metal(bsdf: xr.Dataset) -> Array:
+    """(3,) linear red, green and blue at normal incidence."""
+    source = bsdf if "wavelength" in bsdf["n"].dims or "wavelength" in bsdf["k"].dims else nonspectral(bsdf)
+    n, k = np.broadcast_arrays(source["n"].values, source["k"].values)
+    values = np.atleast_1d(fresnel(1.0, n, k).mean)
+    if "wavelength" in bsdf.coords and values.size == 1:
+        values = np.repeat(values, bsdf.sizes["wavelength"])
+    return np.clip(np.asarray(linear_rgb(bsdf).convert(values[None]))[0], 0.0, 1.0)

@@ -1,0 +1,139 @@
+"""Formulas of scattered light by the distance from the mirror direction, as optical design programs evaluate them, over a Lambertian part.
+
+The distance is that of the direction cosines, x = |β − β₀| with β = (sin θ_o cos φ_o, sin θ_o sin φ_o) and β₀ that of the mirror direction.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import xarray as xr
+from scipy.optimize import least_squares
+
+from brdfpipe.bsdf.nonspectral import nonspectral
+from brdfpipe.bsdf.registry import representation
+from brdfpipe.bsdf.table_error import Pairs, errors_at, fresh_pairs
+from brdfpipe.exchange.registry import ExchangeError
+from brdfpipe.geometry import Array
+
+_FITTED, _COMPARED = 5, 7
+"""Seeds of the directions of the fit, and of those at which its error is stated."""
+_STARTING_WIDTHS = (0.01, 0.03, 0.1, 0.3)
+
+
+@dataclass(frozen=True)
+class Formula:
+    """A formula with three parameters of its lobe."""
+
+    words: str
+    names: tuple[str, str, str]
+    """Peak or scale [sr-1], width [1], and exponent"""
+    lobe: Callable[[Array, Array, Array, tuple[float, float, float]], Array]
+    """(x, cos θ_i, cos θ_o, parameters) → BRDF [sr-1]"""
+    from_peak: Callable[[float, float, float], tuple[float, float, float]]
+    """Peak [sr-1], half width [1], exponent → parameters, for a start"""
+    exponents: tuple[float, float] = (0.5, 8.0)
+
+
+def _abg(x: Array, _i: Array, _o: Array, parameters: tuple[float, float, float]) -> Array:
+    a, b, g = parameters
+    return np.asarray(a / (b + x**g))
+
+
+def _harvey(x: Array, _i: Array, _o: Array, parameters: tuple[float, float, float]) -> Array:
+    peak, width, slope = parameters
+    return np.asarray(peak * (1 + (x / width) ** 2) ** (-slope / 2))
+
+
+def _k_correlation(x: Array, cos_i: Array, cos_o: Array, parameters: tuple[float, float, float]) -> Array:
+    return np.asarray(cos_i * cos_o * _harvey(x, cos_i, cos_o, parameters))
+
+
+FORMULAS: Mapping[str, Formula] = {
+    "abg": Formula(
+        "A / (B + x^g) + L / pi", ("A", "B", "g"), _abg, lambda peak, width, g: (peak * width**g, width**g, g)
+    ),
+    "harvey": Formula(
+        "b0 (1 + (x / l)^2)^(-s / 2) + L / pi", ("b0", "l", "s"), _harvey, lambda peak, width, s: (peak, width, s)
+    ),
+    "k_correlation": Formula(
+        "b0 cos theta_i cos theta_o (1 + (x / l)^2)^(-s / 2) + L / pi",
+        ("b0", "l", "s"),
+        _k_correlation,
+        lambda peak, width, s: (peak, width, s),
+    ),
+}
+"""ABg (Pfisterer), Harvey and Shack with a shoulder, and the K-correlation (ABC) model of a smooth surface's spectrum; L is a reflectance."""
+
+
+@dataclass(frozen=True)
+class ScatterFit:
+    """Parameters of a formula, and its error."""
+
+    parameters: dict[str, float]
+    median: float
+    """See :class:`brdfpipe.exchange.fits.fitting.Fit`"""
+    percentile_95: float
+    directions: int
+
+
+def distance(pairs: Pairs) -> Array:
+    """x of each pair [1]."""
+    sines = np.sin(np.radians(pairs.theta_i)), np.sin(np.radians(pairs.theta_o))
+    turn = np.radians(pairs.phi_o - pairs.phi_i)
+    # The mirror direction is opposite to the incidence.
+    return np.asarray(np.hypot(sines[1] * np.cos(turn) + sines[0], sines[1] * np.sin(turn)))
+
+
+def fit_formula(bsdf: xr.Dataset, name: str) -> ScatterFit:
+    """Fit a formula of :data:`FORMULAS` to the reflected light, weighted with V(λ) and D65.
+
+    Parameters
+    ----------
+    bsdf : kind ``bsdf``, without a lay
+
+    Raises
+    ------
+    ExchangeError : the surface has a lay.
+
+    Notes
+    -----
+    Least squares of the cube roots of BRDF·cos θ_o, as :func:`brdfpipe.exchange.fits.fitting.fit`; from several starting widths.
+    """
+    if not representation(bsdf).isotropic:
+        raise ExchangeError("a surface with a lay has no such parameters: use the format of a table")
+    formula, reduced = FORMULAS[name], nonspectral(bsdf)
+    pairs = _above(fresh_pairs(reduced, _FITTED))
+    x, cos_i, cos_o = distance(pairs), np.cos(np.radians(pairs.theta_i)), np.cos(np.radians(pairs.theta_o))
+    values = representation(reduced).evaluate(*pairs, None)[:, 0]
+    wanted = np.cbrt(values * cos_o)
+
+    def residual(logs: Array) -> Array:
+        *lobe, base = np.exp(logs)
+        return np.asarray(np.cbrt((formula.lobe(x, cos_i, cos_o, tuple(lobe)) + base / np.pi) * cos_o) - wanted)
+
+    floor = float(np.clip(np.quantile(values, 0.05) * np.pi, 1e-6, 1.0))
+    peak = max(float(np.quantile(values, 0.99)), 1e-6)
+    starts = [np.log([*formula.from_peak(peak, width, 2.0), floor]) for width in _STARTING_WIDTHS]
+    low = np.log([1e-12, 1e-12, formula.exponents[0], 1e-9])
+    high = np.log([1e9, 1e3, formula.exponents[1], 1.0])
+    found = min(
+        (least_squares(residual, np.clip(start, low + 1e-6, high - 1e-6), bounds=(low, high)) for start in starts),
+        key=lambda result: float(result.cost),
+    )
+    *lobe, base = (float(value) for value in np.exp(found.x))
+
+    def evaluate(theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array, _: Array | None) -> Array:
+        at = Pairs(theta_i, phi_i, theta_o, phi_o)
+        cosines = np.cos(np.radians(theta_i)), np.cos(np.radians(theta_o))
+        return np.asarray(formula.lobe(distance(at), *cosines, (lobe[0], lobe[1], lobe[2])) + base / np.pi)[:, None]
+
+    errors = errors_at(reduced, evaluate, _above(fresh_pairs(reduced, _COMPARED)))
+    named = dict(zip((*formula.names, "L"), (*lobe, base), strict=True))
+    return ScatterFit(named, float(np.median(errors)), float(np.quantile(errors, 0.95)), errors.size)
+
+
+def _above(pairs: Pairs) -> Pairs:
+    return pairs.chosen(pairs.theta_o < 90)

@@ -1,0 +1,61 @@
+"""A material of glTF 2.0 (``.gltf``): the parameters that come nearest to a BSDF, for web viewers and game engines.
+
+A dielectric mixes a GGX lobe and a Lambertian base by Schlick's approximation at the facet between both directions (glTF 2.0, appendix B); its index is that
+of ``KHR_materials_ior``.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import xarray as xr
+
+from brdfpipe import store
+from brdfpipe.exchange import records
+from brdfpipe.exchange.fits.forms import by_fresnel
+from brdfpipe.exchange.fits.renderer import fitted
+from brdfpipe.exchange.registry import Format
+
+FORMAT = Format(
+    description="parameters of a material of glTF 2.0, fitted, for web viewers and game engines",
+    files={"reflection": {"write": (".gltf",)}},
+    takes="cells",
+    carries=("colour",),
+    options={"largest_error": 0.25, "largest_delta_e": 5.0},
+)
+
+
+def write(bsdf: xr.Dataset, path: Path, *, largest_error: float, largest_delta_e: float) -> records.Record:
+    """Write the reflecting side; the error and what is left out are in ``extras``.
+
+    Parameters
+    ----------
+    bsdf : kind ``bsdf``, without a lay
+    path : the file; it appears whole or not at all
+    largest_error : limit of the median error, relative to BRDF·cos θ_o [1]
+    largest_delta_e : limit of CIEDE2000 off the lobe, D65 and 2 degree
+
+    Raises
+    ------
+    ExchangeError : the fit is beyond a limit, or the surface has a lay.
+    """
+    found = fitted(
+        bsdf, "glTF", by_fresnel, exact_fresnel=False, largest_error=largest_error, largest_delta_e=largest_delta_e
+    )
+    record = found.record(FORMAT, "glTF 2.0")
+    material = {
+        "name": record["material"],
+        "pbrMetallicRoughness": {
+            "baseColorFactor": [*record["parameters"]["base_colour"], 1.0],
+            "metallicFactor": 1.0 if found.is_metal else 0.0,
+            "roughnessFactor": record["parameters"]["roughness"],
+        },
+        "extras": {"brdfpipe": record},
+    }
+    document = {"asset": {"version": "2.0", "generator": "brdfpipe"}, "materials": [material]}
+    if not found.is_metal:
+        document["extensionsUsed"] = ["KHR_materials_ior"]
+        material["extensions"] = {"KHR_materials_ior": {"ior": record["parameters"]["index"]}}
+    store.write_text(path, json.dumps(document, indent=1, ensure_ascii=False) + "\n")
+    return record

@@ -1,0 +1,62 @@
+"""Formulas of scattered light: their own parameters are found in tables of them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import samples
+
+from brdfpipe.bsdf.table_error import Pairs
+from brdfpipe.exchange.fits.scatter import FORMULAS, distance, fit_formula
+from brdfpipe.exchange.read_table import ReadTable, as_bsdf
+from brdfpipe.exchange.registry import ExchangeError
+
+LOBES = {"abg": (0.05, 0.02, 2.5), "harvey": (3.0, 0.15, 2.2), "k_correlation": (3.0, 0.2, 2.5)}
+BASE = 0.1
+
+
+def table_of(name: str):
+    """A fine table about the mirror direction of a formula over a Lambertian part."""
+    theta_i, theta_s, phi_s = (
+        np.linspace(0, 88, 23),
+        np.concatenate([np.linspace(0, 20, 41), np.linspace(21, 170, 90)]),
+        np.linspace(0, 180, 37),
+    )
+    from brdfpipe.bsdf.grids import GRIDS
+
+    nodes = dict(zip(("theta_i", "theta_s", "phi_s"), np.meshgrid(theta_i, theta_s, phi_s, indexing="ij"), strict=True))
+    pairs = Pairs(*(np.asarray(angle) for angle in GRIDS["specular"].directions(nodes)))
+    cosines = (np.cos(np.radians(np.minimum(angle, 89.9))) for angle in (pairs.theta_i, pairs.theta_o))
+    values = FORMULAS[name].lobe(distance(pairs), *cosines, LOBES[name]) + BASE / np.pi
+    axes = {"theta_i": theta_i, "theta_s": theta_s, "phi_s": phi_s}
+    return as_bsdf(ReadTable("specular", axes, values[..., None]), Path("x"))
+
+
+def test_the_distance_is_zero_in_the_mirror_direction() -> None:
+    at = Pairs(*(np.array(angles) for angles in ([30.0, 30.0], [10.0, 10.0], [30.0, 50.0], [190.0, 190.0])))
+    assert distance(at) == pytest.approx([0.0, np.sin(np.radians(50)) - 0.5], abs=1e-12)
+
+
+@pytest.mark.parametrize("name", FORMULAS)
+def test_its_own_parameters_are_found(name: str) -> None:
+    found = fit_formula(table_of(name), name)
+    *lobe, base = found.parameters.values()
+    assert base == pytest.approx(BASE, rel=0.05)
+    assert lobe[2] == pytest.approx(LOBES[name][2], rel=0.05)
+    # Peak and width of a lobe are correlated; the peak of ABg is A/B.
+    peak = lobe[0] / lobe[1] if name == "abg" else lobe[0]
+    expected = LOBES[name][0] / LOBES[name][1] if name == "abg" else LOBES[name][0]
+    assert peak == pytest.approx(expected, rel=0.1)
+    assert found.median < 0.02
+
+
+def test_the_wrong_formula_has_a_larger_error() -> None:
+    bsdf = table_of("k_correlation")
+    assert fit_formula(bsdf, "abg").median > 3 * fit_formula(bsdf, "k_correlation").median
+
+
+def test_a_lay_is_refused() -> None:
+    with pytest.raises(ExchangeError, match="lay"):
+        fit_formula(samples.brushed_bsdf(0.3, 0.1), "abg")
