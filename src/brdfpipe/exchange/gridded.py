@@ -20,7 +20,7 @@ from brdfpipe.bsdf.nonspectral import nonspectral
 from brdfpipe.bsdf.one_side import Side, one_side
 from brdfpipe.bsdf.registry import representation
 from brdfpipe.bsdf.table_error import TableError, rules
-from brdfpipe.bsdf.tabulation import values_on_nodes
+from brdfpipe.bsdf.tabulation import full_circle, values_on_nodes
 from brdfpipe.exchange.registry import ExchangeError
 from brdfpipe.geometry import Array
 from brdfpipe.spectra import colorimetry
@@ -115,6 +115,11 @@ class Gridded:
         above = polar <= 90
         factor = self.factor.compress(above, axis=axis) if self.factor.shape[axis] == polar.size else self.factor
         return replace(self, axes={**self.axes, "theta_o": polar[above]}, factor=factor)
+
+    def full_circle(self) -> Gridded:
+        """A uniform table whose azimuths cover a turn, for programs that do not mirror a half circle."""
+        around = self.axes["phi_o"]
+        return self if around[-1] > 180 else replace(self, axes={**self.axes, "phi_o": full_circle(around)})
 
     def blocks(self) -> Iterator[tuple[float, Array, Array]]:
         """θ_i [degree], values (other axes…, channels) [sr-1], and the reflectance ([phi_i,] channels) of the table's own interpolation, by incidence."""

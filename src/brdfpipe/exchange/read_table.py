@@ -59,6 +59,8 @@ class ReadTable:
     for those that declare none"""
     quality: NDArray[np.int8] | None = None
     """(axes…) :func:`brdfpipe.vocabulary.quality` of values that the reader itself derived from others; by default all are of the file"""
+    uncertainty: Array | None = None
+    """(axes…, channels) standard uncertainties of values of the BRDF, NaN where the file has none"""
     side: str = "reflection"
     """``transmission``: the light that passes, its polar angles counted from the normal of the other side"""
     notes: tuple[str, ...] = ()
@@ -114,6 +116,11 @@ def as_bsdf(read: ReadTable, path: Path) -> xr.Dataset:
             table["spectrum_of_xyz"] = ("wavelength", "component"), spectra_of_tristimulus("D65", 2)
             table = table.assign_attrs(illuminant="D65", observer=2)
     table["brdf_quality"] = names, quality
+    if read.uncertainty is not None and read.quantity == "brdf":
+        u = read.uncertainty
+        for number, name in enumerate(names):
+            u = np.repeat(u, read.axes[name].size // u.shape[number], axis=number)
+        table["brdf_u"] = (table["brdf"].dims, u if read.channels == "spectral" else u[..., 0])
     if "theta_o" in read.axes and read.axes["theta_o"][-1] > 90:
         table.attrs["transmission"] = "slab"
     table = vocabulary.label(table, "bsdf")
