@@ -39,6 +39,21 @@ def test_an_error_above_the_tolerance_names_the_option(saved: Path, tmp_path: Pa
     assert "MORE than the tolerance: raise --largest" in found.output
 
 
+def test_wavelengths_and_options_of_the_format(saved: Path, tmp_path: Path) -> None:
+    found = run("convert", saved, tmp_path / "a.ddr", "--tolerance", 0.1, "--wavelengths", "450, 550")
+    assert found.exit_code == 0, found.output
+    assert "spectral 2" in (tmp_path / "a.ddr").read_text()
+    found = run("convert", saved, tmp_path / "b.ddr", "--tolerance", 0.1, "--option", "colour=rgb")
+    assert found.exit_code == 0, found.output
+    assert "TypeColorModel RGB" in (tmp_path / "b.ddr").read_text()
+    for words in (["--wavelengths", "blue"], ["--option", "colour"]):
+        found = run("convert", saved, tmp_path / "c.ddr", *words)
+        assert found.exit_code == 2
+        assert words[0] in found.output
+    found = run("convert", saved, tmp_path / "c.ddr", "--option", "hue=1")
+    assert "unknown option 'hue'" in found.output
+
+
 def test_compare_finds_the_stated_error(saved: Path, tmp_path: Path) -> None:
     target = tmp_path / "grain.zemax.bsdf"
     run("convert", saved, target, "--tolerance", 0.03)

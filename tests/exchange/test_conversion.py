@@ -5,13 +5,14 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 import samples
 
 from brdfpipe import store
 from brdfpipe.comparison.bsdf_difference import difference
 from brdfpipe.errors import InputError, VocabularyError
-from brdfpipe.exchange.conversion import convert, open_bsdf
+from brdfpipe.exchange.conversion import at_given_wavelengths, convert, open_bsdf
 from brdfpipe.exchange.registry import ExchangeError
 
 
@@ -44,6 +45,37 @@ def test_netcdf_names_the_file_it_comes_from(saved: Path, tmp_path: Path) -> Non
 def test_astm_gets_a_table_of_its_own(saved: Path, tmp_path: Path) -> None:
     convert(open_bsdf(saved), tmp_path / "a.astm", tolerance=0.1)
     assert "VARS theta_i" in (tmp_path / "a.astm").read_text()
+
+
+@pytest.mark.parametrize("wavelengths", [[450.0, 555.5, 650.0], [550.0]])
+def test_a_bsdf_at_given_wavelengths_is_the_bsdf_there(wavelengths: list[float]) -> None:
+    coloured = samples.beckmann_bsdf(0.3, reflectance=np.linspace(0.05, 0.6, 85))
+    few = at_given_wavelengths(coloured, wavelengths)
+    at = 40.0, 0.0, [10.0, 60.0], 170.0
+    assert few.bsdf.evaluate(*at).values == pytest.approx(coloured.bsdf.evaluate(*at, wavelengths).values, rel=1e-12)
+
+
+def test_files_with_a_spectrum_have_the_given_wavelengths(tmp_path: Path) -> None:
+    coloured = samples.beckmann_bsdf(0.3, reflectance=np.linspace(0.05, 0.6, 85))
+    for name in ("a.ddr", "a.spectral.bsdf", "a.brdf"):
+        convert(coloured, tmp_path / name, wavelengths=[450, 550, 650], tolerance=0.1, albedo_tolerance=0.05)
+        assert open_bsdf(tmp_path / name)["wavelength"].values == pytest.approx([450, 550, 650])
+
+
+@pytest.mark.parametrize(
+    ("name", "wavelengths", "words"),
+    [
+        ("a.zemax.bsdf", [450, 550], "zemax: the format has no wavelengths; accepted: .*integra"),
+        ("a.ddr", [550, 450], "accepted: increasing ones from 360 to 780 nm"),
+        ("a.ddr", [200, 450], "accepted: increasing ones from 360 to 780 nm"),
+        ("a.ddr", [float("nan")], "accepted: increasing ones from 360 to 780 nm"),
+    ],
+)
+def test_wavelengths_that_cannot_be_written_are_refused(
+    tmp_path: Path, name: str, wavelengths: list[float], words: str
+) -> None:
+    with pytest.raises(ExchangeError, match=words):
+        convert(samples.beckmann_bsdf(0.3), tmp_path / name, wavelengths=wavelengths)
 
 
 @pytest.mark.parametrize(

@@ -29,6 +29,12 @@ _QUANTITY = click.Choice(QUANTITIES)
 @click.option(
     "--largest", type=int, default=None, help=f"Number of values of a channel  [default: {GRID_OPTIONS['largest']}]"
 )
+@click.option(
+    "--wavelengths", default="", metavar="NM,NM,…", help="Of OUT, where it has a spectrum  [default: those of IN]"
+)
+@click.option(
+    "--option", "further", multiple=True, metavar="NAME=VALUE", help="Of the format, as colour=rgb; see docs/stages.md"
+)
 @exit_on_error
 def convert(
     source: Path,
@@ -38,6 +44,8 @@ def convert(
     quantity: str | None,
     tolerance: float | None,
     largest: int | None,
+    wavelengths: str,
+    further: tuple[str, ...],
 ) -> int:
     """Write the BSDF of file IN, a bsdf.nc of the results or a file of another program, as file OUT: netCDF (.nc) or a file of another program.
 
@@ -49,8 +57,8 @@ def convert(
     for warning in json.loads(bsdf.attrs.get("warnings", "[]")):
         click.echo(f"{source.name}: {printable(warning)}", err=True)
     given = {"tolerance": tolerance, "largest": largest}
-    options = {name: value for name, value in given.items() if value is not None}
-    conversion.convert(bsdf, target, format, inputs={source.name: source}, **options)
+    options = {name: value for name, value in given.items() if value is not None} | dict(map(_option, further))
+    conversion.convert(bsdf, target, format, wavelengths=_numbers(wavelengths), inputs={source.name: source}, **options)
     click.echo(f"{target}: {target.stat().st_size / 1e6:.2f} MB")
     beside = Path(f"{target}{RECORD}")
     if beside.is_file():
@@ -63,6 +71,26 @@ def convert(
         for text in record["left_out"].values():
             click.echo(f"left out: {printable(text)}")
     return 0
+
+
+def _numbers(text: str) -> list[float]:
+    try:
+        return [float(one) for one in text.split(",") if one.strip()]
+    except ValueError:
+        raise click.BadParameter(
+            f"{printable(text)[:60]!r} is no list of numbers, as 450,550,650", param_hint="--wavelengths"
+        ) from None
+
+
+def _option(text: str) -> tuple[str, object]:
+    """Name and value; true, false and numbers as such."""
+    name, equals, value = text.partition("=")
+    if not equals or not name.isidentifier():
+        raise click.BadParameter(f"{printable(text)[:60]!r}; accepted: NAME=VALUE", param_hint="--option")
+    try:
+        return name, json.loads(value)
+    except ValueError:
+        return name, value
 
 
 @click.command(short_help="Compare the BSDFs of two files.")

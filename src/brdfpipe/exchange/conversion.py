@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import xarray as xr
 
 from brdfpipe import store
@@ -45,6 +46,7 @@ def convert(
     path: str | os.PathLike[str],
     format: str | None = None,
     *,
+    wavelengths: Sequence[float] = (),
     inputs: Mapping[str, str | os.PathLike[str]] | None = None,
     **options: Any,
 ) -> None:
@@ -55,12 +57,15 @@ def convert(
     bsdf : kind ``bsdf``
     path, format, options : see :func:`brdfpipe.exchange.registry.write`; a format that takes the table of a material gets one whose nodes follow the
         lobe, within the options of a grid
+    wavelengths : of the files [nm], increasing, within those of the BSDF; by default all of a file with a spectrum
     inputs : name → raw file from which the BSDF comes, for the provenance of a netCDF file
 
     Raises
     ------
     ExchangeError : the format or an option is unknown, or the format does not take such a BSDF.
     """
+    if len(wavelengths):
+        bsdf = at_given_wavelengths(bsdf, wavelengths)
     if Path(path).suffix.lower() == NETCDF and format is None:
         if options:
             raise ExchangeError(
@@ -70,6 +75,11 @@ def convert(
         store.save_dataset(bsdf, path, stage="convert", material=material, inputs=inputs)
         return
     declared, writer = registry.writer_of(path, format)
+    if len(wavelengths):
+        if "spectrum" not in declared.carries:
+            known = ", ".join(name for name, one in registry.FORMATS.items() if "spectrum" in one.carries)
+            raise ExchangeError(f"{declared.name}: the format has no wavelengths; accepted: {known}, or netCDF")
+        options = {**declared.spectral, **options}
     if declared.takes == "table":
         grid = {
             **registry.GRID_OPTIONS,
@@ -77,6 +87,23 @@ def convert(
         }
         options["table"] = _table(bsdf, **grid)
     declared.run(writer, bsdf, path, options)
+
+
+def at_given_wavelengths(bsdf: xr.Dataset, wavelengths: Sequence[float]) -> xr.Dataset:
+    """The BSDF at some wavelengths alone [nm], each between its own by linear interpolation, as everywhere.
+
+    Raises ExchangeError: the BSDF has no wavelengths, or these do not increase or are out of its range.
+    """
+    wanted = np.asarray(wavelengths, dtype=float)
+    if "wavelength" not in bsdf.coords:
+        raise ExchangeError("the BSDF does not depend on wavelength; leave the wavelengths out")
+    own = bsdf["wavelength"].values
+    if not (
+        np.isfinite(wanted).all() and (np.diff(wanted) > 0).all() and own[0] <= wanted[0] and wanted[-1] <= own[-1]
+    ):
+        listed = ", ".join(f"{one:g}" for one in wanted[:8])
+        raise ExchangeError(f"wavelengths {listed} nm; accepted: increasing ones from {own[0]:g} to {own[-1]:g} nm")
+    return bsdf.interp(wavelength=wanted)
 
 
 def _table(bsdf: xr.Dataset, tolerance: float, albedo_tolerance: float, largest: int) -> xr.Dataset:

@@ -37,6 +37,7 @@ FORMAT = Format(
     takes="grid",
     carries=("transmission", "lay", "colour", "spectrum"),
     options={"colour": "bw"},
+    spectral={"colour": "spectral"},
     read="read",
 )
 

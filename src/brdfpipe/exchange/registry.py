@@ -81,6 +81,8 @@ class Format:
     """Words of which the beginning of a file holds one, where several formats have its suffix."""
     options: Mapping[str, Any] = field(default_factory=dict)
     """Keyword of the writers → its default, such as ``tolerance``."""
+    spectral: Mapping[str, Any] = field(default_factory=dict)
+    """Options with which the files have a value for each wavelength, where they do not always."""
     name: str = ""
     """Name of the module, set by the registry."""
 

@@ -25,6 +25,7 @@ FORMAT = Format(
     takes="grid",
     carries=("spectrum",),
     options={"spectral": False},
+    spectral={"spectral": True},
     read="read",
     begins=("\nOPTIS",),
 )
