@@ -92,3 +92,10 @@ def test_fewer_values_than_a_table_of_a_lay_has_are_refused():
     with pytest.raises(ValueError, match="at least 81 values; found 80"):
         table_nodes.choose_nodes(brushed, "specular", largest=80)
     assert table_nodes.choose_nodes(brushed, "specular", largest=81).values.size == 81
+
+
+def test_the_last_attempt_gives_a_table_whatever_its_error(glossy, monkeypatch):
+    monkeypatch.setattr(table_nodes, "_ATTEMPTS", 1)
+    choice = table_nodes.choose_nodes(glossy, "specular", tolerance=0.01, largest=10_000_000)
+    assert choice.error.percentile_95 > 0
+    assert choice.within_tolerance == (choice.error.percentile_95 <= 0.01 and choice.error.albedo <= 0.001)

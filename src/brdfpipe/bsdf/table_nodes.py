@@ -110,23 +110,23 @@ def choose_nodes(
     lines = {name: _line(bsdf, grid, name, pairs) for name in grid.named(not model.isotropic)}
     test, best = fresh_pairs(bsdf, _TEST_SEED), None
     parts = dict.fromkeys(lines, tolerance / len(lines))
-    for _ in range(_ATTEMPTS):
+    for attempt in range(_ATTEMPTS):
         axes = {name: _nodes(line, parts[name]) for name, line in lines.items()}
         while _size(axes) > largest:
             parts = {name: 1.25 * part for name, part in parts.items()}
             axes = {name: _nodes(line, parts[name]) for name, line in lines.items()}
-        full = _size(axes) > 0.6 * largest
+        is_last = _size(axes) > 0.6 * largest or attempt == _ATTEMPTS - 1
         values = values_on_nodes(model.evaluate, grid, axes, False, model.mirror_symmetric)
         excess = float(np.quantile(errors_at(bsdf, interpolation(axes, values), test), 0.95)) / tolerance
         of_albedo = 1.0
-        if excess <= 1 or full:
+        if excess <= 1 or is_last:
             factor = albedo_factor(bsdf, values, axes, tolerance)
             values = values * factor
             error = error_of(bsdf, interpolation(axes, values), test)
             excess, of_albedo = error.percentile_95 / tolerance, error.albedo / albedo_tolerance
             choice = ChosenNodes(axes, values, factor, error, max(excess, of_albedo) <= 1)
             best = _better(choice, best)
-            if full or 0.6 <= max(excess, of_albedo) <= 1:
+            if is_last or 0.6 <= max(excess, of_albedo) <= 1:
                 break
         parts = {name: part * _change(excess) for name, part in parts.items()}
         if of_albedo > 1 and "theta_i" in parts:
