@@ -143,7 +143,7 @@ def smallest_table(bsdf: xr.Dataset, layout: str) -> int:
 
 def _change(excess: float) -> float:
     """By how much to change a part of the tolerance after an error of ``excess`` times the tolerance."""
-    return min(max(0.85 / excess, 0.25), 3.0)
+    return min(max(0.85 / max(excess, 0.1), 0.25), 3.0)
 
 
 def _better(choice: ChosenNodes, best: ChosenNodes | None) -> ChosenNodes:
