@@ -12,10 +12,9 @@ WINDOW 6 BSDF schema 1.4; Radiance (bsdf_m.c, 2026); Klems 1994, ASHRAE Trans. 1
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
-from xml.sax.saxutils import escape
 
 import numpy as np
 import xarray as xr
@@ -25,7 +24,7 @@ from brdfpipe import store
 from brdfpipe.bsdf.nonspectral import nonspectral
 from brdfpipe.bsdf.registry import representation
 from brdfpipe.errors import InputError
-from brdfpipe.exchange import cell_means, number_text, records
+from brdfpipe.exchange import cell_means, number_text, records, window_xml
 from brdfpipe.exchange.read_table import ReadTable
 from brdfpipe.exchange.registry import Format
 from brdfpipe.geometry import Array
@@ -39,6 +38,7 @@ FORMAT = Format(
     takes="cells",
     carries=("transmission", "lay"),
     read="read",
+    begins=("Columns", "Rows"),
 )
 
 BOUNDS = np.array([0.0, 5, 15, 25, 35, 45, 55, 65, 75, 90])
@@ -53,10 +53,6 @@ _STEP = 0.75
 _STEP_WIDTH = 1e-3
 """Half of the polar angle in which a table that is read changes from ring to ring [degree]."""
 _BASIS = "LBNL/Klems Full"
-_SIDES = {"Reflection Back": False, "Transmission Back": True}
-"""Name of light from +Z → whether it passes"""
-_LARGEST_FILE = 64 * 2**20
-
 Brdf = Callable[[Array, Array, Array, Array], Array]
 """Luminous values of pairs of directions"""
 
@@ -72,13 +68,20 @@ def write(bsdf: xr.Dataset, path: Path) -> records.Record:
     def brdf(theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array) -> Array:
         return model.evaluate(theta_i, phi_i, theta_o, phi_o, None)[..., 0]
 
-    sides = {name: passes for name, passes in _SIDES.items() if model.is_slab or not passes}
+    sides = {name: passes for name, passes in window_xml.SIDES.items() if model.is_slab or not passes}
     means = {name: _means(brdf, passes, model.isotropic) for name, passes in sides.items()}
     error = cell_means.table_error(bsdf, lambda *at: _lookup(means, *at[:4]), transmission=model.is_slab)
     stacked = np.stack(list(means.values()))[..., None]
     record = records.record(cell_means.CellTable(bsdf, stacked, error, "one value for each patch"), FORMAT)
+    blocks = {
+        name: window_xml.Block(
+            f"<ColumnAngleBasis>{_BASIS}</ColumnAngleBasis><RowAngleBasis>{_BASIS}</RowAngleBasis>",
+            number_text.rows(np.maximum(values, 0.0), separator=" "),
+        )
+        for name, values in means.items()
+    }
     with store.atomic_path(path) as temporary, temporary.open("wb") as file:
-        file.writelines(_document(record, means))
+        file.writelines(window_xml.document(record, "Columns", _basis(), blocks))
     return record
 
 
@@ -159,34 +162,13 @@ def _means_with_lay(brdf: Brdf, passes: bool) -> Array:
     return means
 
 
-def _document(record: records.Record, means: Mapping[str, Array]) -> Iterator[bytes]:
-    notes = "".join(f"<!-- {note.replace('--', '- -')} -->\n" for note in records.sentences(record))
+def _basis() -> str:
     blocks = "".join(
         f"<AngleBasisBlock><Theta>{centre:g}</Theta><nPhis>{count}</nPhis><ThetaBounds><LowerTheta>{low:g}</LowerTheta>"
         f"<UpperTheta>{high:g}</UpperTheta></ThetaBounds></AngleBasisBlock>\n"
         for centre, count, low, high in zip(_CENTRES, RING, BOUNDS[:-1], BOUNDS[1:], strict=True)
     )
-    yield (
-        '<?xml version="1.0" encoding="UTF-8"?>\n'
-        '<WindowElement xmlns="http://windows.lbl.gov" xmlns:xsi="http://www.w3.org/2001/XMLSchema-instance" '
-        'xsi:schemaLocation="http://windows.lbl.gov/BSDF-v1.4.xsd">\n'
-        f"{notes}<WindowElementType>System</WindowElementType>\n<FileType>BSDF</FileType>\n<Optical>\n<Layer>\n"
-        f"<Material><Name>{escape(record['material'])}</Name><Manufacturer>unknown</Manufacturer><DeviceType>Other</DeviceType></Material>\n"
-        f"<DataDefinition><IncidentDataStructure>Columns</IncidentDataStructure>\n<AngleBasis><AngleBasisName>{_BASIS}</AngleBasisName>\n"
-        f"{blocks}</AngleBasis></DataDefinition>\n"
-    ).encode("ascii", "xmlcharrefreplace")
-    for name, values in means.items():
-        kind = "BTDF" if _SIDES[name] else "BRDF"
-        yield (
-            '<WavelengthData><LayerNumber>System</LayerNumber><Wavelength unit="Integral">Visible</Wavelength>'
-            "<SourceSpectrum>CIE Illuminant D65 1nm.ssp</SourceSpectrum><DetectorSpectrum>ASTM E308 1931 Y.dsp</DetectorSpectrum>\n"
-            f"<WavelengthDataBlock><WavelengthDataDirection>{name}</WavelengthDataDirection>\n"
-            f"<ColumnAngleBasis>{_BASIS}</ColumnAngleBasis><RowAngleBasis>{_BASIS}</RowAngleBasis>\n"
-            f"<ScatteringDataType>{kind}</ScatteringDataType>\n<ScatteringData>\n"
-        ).encode()
-        yield number_text.rows(np.maximum(values, 0.0), separator=" ")
-        yield b"</ScatteringData></WavelengthDataBlock></WavelengthData>\n"
-    yield b"</Layer>\n</Optical>\n</WindowElement>\n"
+    return f"<AngleBasis><AngleBasisName>{_BASIS}</AngleBasisName>\n{blocks}</AngleBasis>"
 
 
 def read(path: Path) -> ReadTable:
@@ -196,68 +178,23 @@ def read(path: Path) -> ReadTable:
 
     Raises InputError: the file contradicts itself, or is not of this format.
     """
-    layer = _layer(path)
-    structure = _text(layer, "DataDefinition/IncidentDataStructure")
+    layer = window_xml.layer(path)
+    structure = window_xml.text(layer, "DataDefinition/IncidentDataStructure")
     if structure not in ("Columns", "Rows"):
         found = repr(structure)[:40]
         raise InputError(path, "the data are not Klems matrices", found=found, accepted="Columns, Rows")
-    means = dict[str, Array]()
-    blocks = [
-        block
-        for data in layer.findall("{*}WavelengthData")
-        if _text(data, "Wavelength") == "Visible"
-        for block in data.findall("{*}WavelengthDataBlock")
-    ]
-    names = [_text(block, "WavelengthDataDirection") for block in blocks]
-    for name, block in zip(names, blocks, strict=True):
-        if name in means:
-            raise InputError(path, "a direction occurs twice", found=name, accepted="one block for each direction")
-        if name in _SIDES:
-            values = _matrix(path, block, name)
-            means[name] = values if structure == "Columns" else values.T
-    if "Reflection Back" not in means:
-        found = ", ".join(names)[:80] or "no visible data"
-        raise InputError(path, "no reflection of light from +Z", found=found, accepted="Reflection Back, Visible")
-    notes = ["patches are constant in polar angle, and interpolated linearly in azimuth"]
-    if {"Reflection Front", "Transmission Front"} & set(names):
-        notes.append("light from -Z was not read")
-    return _table(means, tuple(notes))
-
-
-def _layer(path: Path) -> Element:
-    from xml.etree.ElementTree import ParseError
-
-    from defusedxml import DefusedXmlException
-    from defusedxml.ElementTree import fromstring
-
-    if path.stat().st_size > _LARGEST_FILE:
-        found = f"{path.stat().st_size >> 20} MiB"
-        raise InputError(path, "the file is too large", found=found, accepted=f"at most {_LARGEST_FILE >> 20} MiB")
-    content = path.read_bytes()
-    try:
-        # Some writers put a line of their own before the document.
-        root: Element = fromstring(content[max(content.find(b"<?xml"), 0) :], forbid_dtd=True)
-    except DefusedXmlException as error:
-        raise InputError(path, "XML with a document type or entities", accepted="a plain WindowElement") from error
-    except (ParseError, RecursionError, ValueError, LookupError) as error:
-        raise InputError(path, "damaged XML", found=str(error)[:80], accepted="a WindowElement") from error
-    layers = root.findall("{*}Optical/{*}Layer")
-    if root.tag.rpartition("}")[2] != "WindowElement" or len(layers) != 1:
-        found = f"{root.tag[-40:]} with {len(layers)} layers"
-        raise InputError(path, "not a BSDF of one layer", found=found, accepted="a WindowElement with one Layer")
-    return layers[0]
-
-
-def _text(element: Element, place: str) -> str:
-    found = element.findtext("/".join(f"{{*}}{tag}" for tag in place.split("/")))
-    return (found or "").strip()
+    blocks, notes = window_xml.from_above(path, layer)
+    means = {name: _matrix(path, block, name) for name, block in blocks.items()}
+    if structure == "Rows":
+        means = {name: values.T for name, values in means.items()}
+    return _table(means, ("patches are constant in polar angle, and interpolated linearly in azimuth", *notes))
 
 
 def _matrix(path: Path, block: Element, name: str) -> Array:
     for side in ("ColumnAngleBasis", "RowAngleBasis"):
-        if (basis := _text(block, side)) != _BASIS:
+        if (basis := window_xml.text(block, side)) != _BASIS:
             raise InputError(path, "unknown angle basis", where=name, found=repr(basis)[:40], accepted=_BASIS)
-    words = _text(block, "ScatteringData").replace(",", " ").split()
+    words = window_xml.text(block, "ScatteringData").replace(",", " ").split()
     if len(words) != PATCHES**2:
         found = f"{len(words)} numbers"
         raise InputError(path, "wrong number of values", where=name, found=found, accepted=f"{PATCHES**2}")
@@ -278,7 +215,7 @@ def _table(means: Mapping[str, Array], notes: tuple[str, ...]) -> ReadTable:
     """
     azimuths, relative = np.arange(0.0, 361.0, 15.0), np.arange(0.0, 361.0, 3.0)
     parts = []
-    for name, passes in _SIDES.items():
+    for name, passes in window_xml.SIDES.items():
         if name in means:
             # (θ_i, φ_i, outgoing patch) and then (θ_i, φ_i, θ_o, φ_o relative to φ_i)
             columns = np.stack([_around(means[name].T, ring, azimuths + 180) for ring in range(RING.size)])
