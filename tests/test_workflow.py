@@ -91,7 +91,9 @@ def test_every_material_has_its_page_and_exports(built: tuple[Path, Path]) -> No
     for name in EXAMPLES:
         assert (results / name / "report.html").stat().st_size > 10_000
         exports = {path.name for path in (results / name / "exports").iterdir()}
-        assert exports == {f"{name}.astm", f"{name}.total_reflectance.csv", f"{name}.lambert_gauss.csv"}
+        assert exports == {
+            f"{name}.{kind}" for kind in ("astm", "astm.json", "total_reflectance.csv", "lambert_gauss.csv")
+        }
         assert name in (results / "index.html").read_text()
 
 

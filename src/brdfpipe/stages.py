@@ -474,11 +474,6 @@ class Export(NamedTuple):
         return f"export_{self.format.name.replace('-', '_')}" + ("" if self.side == "reflection" else f"_{self.side}")
 
     @property
-    def inputs(self) -> tuple[str, ...]:
-        """Stages whose datasets the writers take."""
-        return ("table", "bsdf") if self.format.takes == "table" else ("bsdf",)
-
-    @property
     def files(self) -> list[str]:
         """Patterns of the files, the main one first."""
         return [f"{{scene}}{{material}}/exports/{{material}}{suffix}" for suffix in self.format.suffixes(self.side)]
@@ -817,10 +812,7 @@ _STAGES = (
     Stage(
         "table",
         "the BSDF on a grid of directions",
-        when=Condition(
-            f"{_asked('table').words}, or for a format that takes it",
-            lambda subject: subject.asks("table") or any(FORMATS[name].takes == "table" for name in subject.exports),
-        ),
+        when=_asked("table"),
         keys=_config_block("table"),
         kind="bsdf",
         minutes=1,

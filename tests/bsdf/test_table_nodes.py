@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 import samples
 
-from brdfpipe.bsdf import table_nodes
+from brdfpipe import facets
+from brdfpipe.bsdf import microfacet, table_nodes
 from brdfpipe.bsdf.grids import GRIDS
 from brdfpipe.bsdf.registry import representation
 from brdfpipe.bsdf.table_error import error_of, errors_at, fresh_pairs
@@ -54,6 +55,13 @@ def test_a_perfect_diffuser_needs_three_nodes_of_each_axis():
     choice = table_nodes.choose_nodes(white, "uniform", tolerance=0.01)
     assert choice.values.size < 200
     assert choice.error.percentile_95 < 0.01
+
+
+def test_a_surface_that_mirrors_all_its_light_has_the_smallest_table():
+    polished = microfacet.build(facets.flat(), index=1.5)
+    chosen = table_nodes.choose_nodes(polished)
+    assert chosen.within_tolerance
+    assert chosen.values.size == table_nodes.smallest_table(polished, "uniform")
 
 
 def test_a_surface_with_a_lay_has_azimuths_of_incidence():

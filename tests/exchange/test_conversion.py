@@ -42,11 +42,6 @@ def test_netcdf_names_the_file_it_comes_from(saved: Path, tmp_path: Path) -> Non
     assert store.file_digest(table) in str(inputs)
 
 
-def test_astm_gets_a_table_of_its_own(saved: Path, tmp_path: Path) -> None:
-    convert(open_bsdf(saved), tmp_path / "a.astm", tolerance=0.1)
-    assert "VARS theta_i" in (tmp_path / "a.astm").read_text()
-
-
 @pytest.mark.parametrize("wavelengths", [[450.0, 555.5, 650.0], [550.0]])
 def test_a_bsdf_at_given_wavelengths_is_the_bsdf_there(wavelengths: list[float]) -> None:
     coloured = samples.beckmann_bsdf(0.3, reflectance=np.linspace(0.05, 0.6, 85))
@@ -57,7 +52,7 @@ def test_a_bsdf_at_given_wavelengths_is_the_bsdf_there(wavelengths: list[float])
 
 def test_files_with_a_spectrum_have_the_given_wavelengths(tmp_path: Path) -> None:
     coloured = samples.beckmann_bsdf(0.3, reflectance=np.linspace(0.05, 0.6, 85))
-    for name in ("a.ddr", "a.spectral.bsdf", "a.brdf"):
+    for name in ("a.ddr", "a.spectral.bsdf", "a.brdf", "a.astm"):
         convert(coloured, tmp_path / name, wavelengths=[450, 550, 650], tolerance=0.1, albedo_tolerance=0.05)
         assert open_bsdf(tmp_path / name)["wavelength"].values == pytest.approx([450, 550, 650])
 

@@ -147,24 +147,6 @@ def test_a_lay_becomes_planes_of_incidence(tmp_path):
     assert max(wanted) > 2 * min(wanted)
 
 
-def test_a_transmitting_sheet_has_its_reflecting_side_alone(grey):
-    from dataclasses import replace
-
-    from brdfpipe.exchange import gridded
-
-    table = gridded.gridded(grey, "uniform", gridded.photopic(grey), **COARSE)
-    polar = table.axes["theta_o"]
-    both = replace(
-        table,
-        axes={**table.axes, "theta_o": np.append(polar, [120.0, 150.0])},
-        factor=np.append(table.factor, np.full((table.factor.shape[0], 2, 1, 1), 7.0), axis=1),
-    )
-    side = both.reflecting_side()
-    assert side.axes["theta_o"] == pytest.approx(polar)
-    assert side.factor == pytest.approx(table.factor)
-    assert side.block(1) == pytest.approx(table.block(1))
-
-
 def by_hand(tmp_path: Path, *blocks: str, content="Monochrome", azimuth="4\n0 90 180 270") -> Path:
     text = HEADER.format(content=content, azimuth=azimuth) + "".join(blocks) + "DataEnd\n"
     (tmp_path / "hand.bsdf").write_text(text)

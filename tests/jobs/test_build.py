@@ -309,7 +309,9 @@ def test_changing_a_stages_code_reruns_that_stage(folder: Path, results: Path, p
     script.write_text(script.read_text() + "\nCHANGED = 1\n")
     build(folder, results)
     assert {name for name in rewritten(before, times(results)) if "/" in name} == {
-        f"{name}/exports/{name}.{kind}" for name in ("first", "second") for kind in ("astm", "total_reflectance.csv")
+        f"{name}/exports/{name}.{kind}"
+        for name in ("first", "second")
+        for kind in ("astm", "astm.json", "total_reflectance.csv")
     }
 
 

@@ -12,7 +12,6 @@ from brdfpipe.appearance.cabin import Cabin, cabin_of
 from brdfpipe.catalogue.catalogue import load
 from brdfpipe.catalogue.configuration import load_config
 from brdfpipe.errors import BrdfpipeError, InputError
-from brdfpipe.exchange.registry import FORMATS
 from brdfpipe.scenes import geometries, scene
 from brdfpipe.scenes.metrics import METRICS
 from brdfpipe.scenes.results import PARTS, RESULTS
@@ -281,13 +280,6 @@ def test_a_model_is_planned_where_errors_were_measured_for_the_scene(subjects: d
     fullest = Subject(subjects["catalogue"].owner, subjects["catalogue"].config, (), Scene("mine", content))
     assert {"predicted", "wave", "nominal_bsdf"} <= stages_of(fullest)
     assert "plan" not in stages_of(fullest)
-
-
-def test_a_table_is_computed_for_a_format_that_takes_it(subjects: dict[str, Subject]) -> None:
-    assert FORMATS["astm"].takes == "table"
-    content = {**load_scene("gloss-sheet").content, "exports": ["astm"]}
-    subject = Subject(subjects["catalogue"].owner, subjects["catalogue"].config, (), Scene("mine", content))
-    assert {"table", "export_astm"} <= stages_of(subject)
 
 
 def test_the_appearance_is_computed_at_the_geometries_of_the_scene_alone(subjects: dict[str, Subject]) -> None:

@@ -85,7 +85,7 @@ for export in EXPORTS:
         name:
             export.name
         input:
-            **results_of(*export.inputs),
+            **results_of("bsdf"),
         output:
             file=export.files[0],
             beside=export.files[1:],

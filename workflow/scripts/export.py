@@ -5,9 +5,8 @@ from brdfpipe.exchange.registry import FORMATS
 def main(input, output, params):
     """The files of one side of a material, in a format of other programs."""
     format, side = FORMATS[params["spec"]["format"]], params["spec"]["side"]
-    datasets = {name: store.shared_dataset(path, "bsdf") for name, path in input.items()}
     stem = output["file"].removesuffix(format.suffixes(side)[0])
-    format.write(datasets.pop("bsdf"), stem, side, **datasets)
+    format.write(store.shared_dataset(input["bsdf"], "bsdf"), stem, side)
 
 
 if __name__ == "__main__":

@@ -11,9 +11,6 @@ import numpy as np
 import xarray as xr
 
 from brdfpipe import store
-from brdfpipe.bsdf.nonspectral import nonspectral
-from brdfpipe.bsdf.table_nodes import choose_nodes
-from brdfpipe.bsdf.tabulation import full_circle, tabulate
 from brdfpipe.errors import InputError
 from brdfpipe.exchange import registry
 from brdfpipe.exchange.reading import read
@@ -55,8 +52,7 @@ def convert(
     Parameters
     ----------
     bsdf : kind ``bsdf``
-    path, format, options : see :func:`brdfpipe.exchange.registry.write`; a format that takes the table of a material gets one whose nodes follow the
-        lobe, within the options of a grid
+    path, format, options : see :func:`brdfpipe.exchange.registry.write`
     wavelengths : of the files [nm], increasing, within those of the BSDF; by default all of a file with a spectrum
     inputs : name → raw file from which the BSDF comes, for the provenance of a netCDF file
 
@@ -80,12 +76,6 @@ def convert(
             known = ", ".join(name for name, one in registry.FORMATS.items() if "spectrum" in one.carries)
             raise ExchangeError(f"{declared.name}: the format has no wavelengths; accepted: {known}, or netCDF")
         options = {**declared.spectral, **options}
-    if declared.takes == "table":
-        grid = {
-            **registry.GRID_OPTIONS,
-            **{name: options.pop(name) for name in registry.GRID_OPTIONS if name in options},
-        }
-        options["table"] = _table(bsdf, **grid)
     declared.run(writer, bsdf, path, options)
 
 
@@ -104,14 +94,3 @@ def at_given_wavelengths(bsdf: xr.Dataset, wavelengths: Sequence[float]) -> xr.D
         listed = ", ".join(f"{one:g}" for one in wanted[:8])
         raise ExchangeError(f"wavelengths {listed} nm; accepted: increasing ones from {own[0]:g} to {own[-1]:g} nm")
     return bsdf.interp(wavelength=wanted)
-
-
-def _table(bsdf: xr.Dataset, tolerance: float, albedo_tolerance: float, largest: int) -> xr.Dataset:
-    reduced = nonspectral(bsdf)
-    choice = choose_nodes(
-        reduced, "uniform", tolerance=tolerance, albedo_tolerance=albedo_tolerance, largest=largest // 2
-    )
-    axes = dict(choice.axes)
-    if axes["phi_o"][-1] == 180:
-        axes["phi_o"] = full_circle(axes["phi_o"])
-    return tabulate(reduced, axes)

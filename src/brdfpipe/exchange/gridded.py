@@ -109,13 +109,6 @@ class Gridded:
         factor = np.take(self.factor, [row], axis=self._axis) if self.factor.shape[self._axis] > 1 else self.factor
         return np.asarray((values * factor).take(0, axis=self._axis))
 
-    def reflecting_side(self) -> Gridded:
-        """A uniform table without the directions below the surface."""
-        polar, axis = self.axes["theta_o"], list(self.axes).index("theta_o")
-        above = polar <= 90
-        factor = self.factor.compress(above, axis=axis) if self.factor.shape[axis] == polar.size else self.factor
-        return replace(self, axes={**self.axes, "theta_o": polar[above]}, factor=factor)
-
     def full_circle(self) -> Gridded:
         """A uniform table whose azimuths cover a turn, for programs that do not mirror a half circle."""
         around = self.axes["phi_o"]

@@ -64,7 +64,13 @@ def format_of(path: Path, name: str | None = None) -> Format:
     file_name = path.name.lower()
     matches = []
     for known in readable.values():
-        written = [suffix for side in known.files.values() for group in side.values() for suffix in group]
+        written = [
+            suffix
+            for side in known.files.values()
+            for writer, group in side.items()
+            for suffix in group
+            if writer not in known.beside
+        ]
         ends = any(file_name.endswith(Path(f"name{suffix}").suffix) for suffix in (*written, *known.reads))
         if ends and (not known.begins or any(word.encode() in beginning for word in known.begins)):
             matches.append(known)

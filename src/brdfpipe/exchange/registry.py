@@ -68,9 +68,10 @@ class Format:
     A writer is a function of the module. It is called with the path of the first file and writes the others beside it. A material
     without transmission has the files of ``reflection`` alone; a format with both sides in one file declares it there."""
     takes: str = "bsdf"
-    """``bsdf``: the writers take the BSDF; ``table``: they take the BSDF and, as keyword ``table``, the table of the material; ``grid``:
-    they take the BSDF and :data:`GRID_OPTIONS`, and return a record that is written beside each file, with the suffix ``.json``;
-    ``cells``: the same without these options, because the format fixes its cells."""
+    """``bsdf``: the writers take the BSDF; ``grid``: they take the BSDF and :data:`GRID_OPTIONS`, and return a record that is written beside
+    each file, with the suffix ``.json``; ``cells``: the same without these options, because the format fixes its cells."""
+    beside: tuple[str, ...] = ()
+    """Writers of small tables beside the others: they take no options and return no record"""
     carries: tuple[str, ...] = ()
     """What survives, of :data:`PROPERTIES`."""
     read: str = ""
@@ -98,8 +99,12 @@ class Format:
 
     def suffixes(self, side: str) -> list[str]:
         """Suffixes of the files of one side, the main one first."""
-        named = [suffix for group in self.files[side].values() for suffix in group]
-        return [*named, *(f"{suffix}{RECORD}" for suffix in named)] if self.has_record else named
+        written = self.files[side].items()
+        named = [suffix for _, group in written for suffix in group]
+        recorded = [
+            suffix for writer, group in written for suffix in group if self.has_record and writer not in self.beside
+        ]
+        return [*named, *(f"{suffix}{RECORD}" for suffix in recorded)]
 
     def write(self, bsdf: xr.Dataset, stem: str | os.PathLike[str], side: str = "reflection", **keywords: Any) -> None:
         """Write all files of one side: ``stem`` and the suffixes of the format.
@@ -113,7 +118,11 @@ class Format:
 
     def run(self, writer: str, bsdf: xr.Dataset, path: str | os.PathLike[str], keywords: Mapping[str, Any]) -> None:
         """Call one of the writers, and write the record that it returns beside the file."""
-        record = self.function(writer)(bsdf, Path(path), **self.keywords(keywords))
+        options = self.keywords(keywords)
+        if writer in self.beside:
+            self.function(writer)(bsdf, Path(path))
+            return
+        record = self.function(writer)(bsdf, Path(path), **options)
         if self.has_record:
             from brdfpipe import store
 
@@ -126,11 +135,10 @@ class Format:
         return function
 
     def keywords(self, given: Mapping[str, Any]) -> dict[str, Any]:
-        """Keywords of the writers: the options with their defaults, and the table where the format takes one."""
-        options = {**self.options, **(GRID_OPTIONS if self.takes == "grid" else {})}
-        known = {*options, *(["table"] if self.takes == "table" else [])}
-        if unknown := sorted(set(given) - known):
-            accepted = ", ".join(sorted(known)) or "no option"
+        """Keywords of the writers: the options with their defaults."""
+        options = {**(GRID_OPTIONS if self.takes == "grid" else {}), **self.options}
+        if unknown := sorted(set(given) - set(options)):
+            accepted = ", ".join(sorted(options)) or "no option"
             raise ExchangeError(f"{self.name}: unknown option {unknown[0]!r}; accepted: {accepted}")
         return {**options, **given}
 
@@ -140,7 +148,7 @@ def write(bsdf: xr.Dataset, path: str | os.PathLike[str], format: str | None = N
 
     Parameters
     ----------
-    bsdf : kind ``bsdf``; ``astm`` takes a non-spectral ``table`` (see ``bsdf.nonspectral()`` and ``bsdf.tabulate(grid)``)
+    bsdf : kind ``bsdf``
     path : the file; it appears whole or not at all. Its suffix says which file of the format it is, ``.astm`` or
         ``.transmission.astm``; another suffix needs ``format``, and gives the first file
     format : a key of :data:`FORMATS`; by default the one of the suffix

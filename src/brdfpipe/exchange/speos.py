@@ -51,8 +51,9 @@ def write(bsdf: xr.Dataset, path: Path, **grid: Any) -> records.Record:
     ------
     ExchangeError : an option is out of range.
     """
-    table = gridded.gridded(bsdf, "uniform", gridded.photopic(bsdf), **grid).reflecting_side()
-    record = records.record(table, FORMAT)
+    seen = gridded.side_of(bsdf, "reflection", path)
+    table = gridded.gridded(seen, "uniform", gridded.photopic(seen), **grid)
+    record = records.record(table, FORMAT, bsdf)
     if "spectrum" in record["left_out"]:
         record["left_out"]["spectrum"] = (
             "the spectrum by direction: one spectrum, that of the first incidence, holds for all"

@@ -51,11 +51,12 @@ def write(bsdf: xr.Dataset, path: Path, *, spectral: bool = False, **grid: Any) 
         raise ExchangeError(
             f"{path.name}: the surface has a lay, which a .brdf file cannot hold; use the format speos (.anisotropicbsdf)"
         )
-    channels = gridded.photopic(bsdf)
+    seen = gridded.side_of(bsdf, "reflection", path)
+    channels = gridded.photopic(seen)
     if spectral and "wavelength" in bsdf.coords:
-        channels = gridded.spectral(bsdf, bsdf["wavelength"].values)
-    table = gridded.gridded(bsdf, "uniform", channels, **grid).reflecting_side()
-    record = records.record(table, FORMAT)
+        channels = gridded.spectral(seen, seen["wavelength"].values)
+    table = gridded.gridded(seen, "uniform", channels, **grid)
+    record = records.record(table, FORMAT, bsdf)
     theta_i = table.axes["theta_i"]
     wavelength = np.array([speos_text.PHOTOPIC]) if channels.wavelength is None else channels.wavelength
     lists = ("\t".join(f"{one:g}" for one in values) for values in (theta_i, wavelength))
