@@ -22,6 +22,21 @@ def test_text_agrees_with_python_to_half_a_unit_of_the_last_digit():
     assert ties.mean() < 1e-3
 
 
+@pytest.mark.parametrize("digits", [2, 4, 6, 9, 12])
+def test_any_number_of_digits_is_that_of_python(digits):
+    values = 10 ** np.random.default_rng(1).uniform(-99, 98.9, 3000)
+    found = number_text.rows(values[:, None], digits=digits).decode().split("\n")[:-1]
+    wanted = [f"{value:.{digits - 1}e}" for value in values]
+    # Ties, and the rounding of a power of ten in the last of twelve digits.
+    assert np.mean([one != other for one, other in zip(found, wanted, strict=True)]) < 2e-3
+    assert np.array(found, dtype=float) == pytest.approx(np.array(wanted, dtype=float), rel=2 * 10.0 ** (1 - digits))
+
+
+def test_tables_of_several_batches_are_whole():
+    values = np.random.default_rng(2).uniform(0, 1, (300, 500))
+    assert np.array(number_text.rows(values).split(), dtype=float) == pytest.approx(values.ravel(), rel=5.001e-5)
+
+
 def test_zero_and_what_is_too_small_for_two_digits_of_exponent_become_zero():
     assert number_text.rows(np.array([[0.0, 1e-300]])) == b"0.0000e+00\t0.0000e+00\n"
 
