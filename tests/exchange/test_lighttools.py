@@ -128,7 +128,9 @@ def test_colours_are_blocks_of_tristimulus_values(tmp_path):
     assert words[:4] == ["TrisX", "TrisY", "TrisZ", "TrisX"]
     back = read(tmp_path / "red.lighttools.bsdf")
     at = 30.0, 0.0, 10.0, 90.0
-    assert float(back.bsdf.evaluate(*at)) == pytest.approx(float(red.bsdf.nonspectral().bsdf.evaluate(*at)), rel=0.1)
+    assert float(back.bsdf.nonspectral().bsdf.evaluate(*at)) == pytest.approx(
+        float(red.bsdf.nonspectral().bsdf.evaluate(*at)), rel=0.1
+    )
     found = representation(back).tristimulus(*(np.array([angle]) for angle in at), "D65", 2)
     assert found[0, 0] > found[0, 2]
 
