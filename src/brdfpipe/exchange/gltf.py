@@ -21,7 +21,7 @@ FORMAT = Format(
     description="parameters of a material of glTF 2.0, fitted, for web viewers and game engines",
     files={"reflection": {"write": (".gltf",)}},
     takes="cells",
-    carries=("colour",),
+    carries=("colour", "specular"),
     options={"largest_error": 0.25, "largest_delta_e": 5.0},
 )
 

@@ -21,7 +21,7 @@ FORMAT = Format(
     description="parameters of OpenPBR in MaterialX, fitted, for renderers",
     files={"reflection": {"write": (".mtlx",)}},
     takes="cells",
-    carries=("colour",),
+    carries=("colour", "specular"),
     options={"largest_error": 0.25, "largest_delta_e": 5.0},
 )
 

@@ -105,7 +105,7 @@ def left_out(bsdf: xr.Dataset, format: Format, channels: int) -> dict[str, str]:
             if channels == 3
             else "the spectrum: the values are weighted with V(lambda) and D65"
         )
-    if "specular" not in format.carries and (text := _specular(model)):
+    if "specular" not in format.carries and (text := specular_shares(model)):
         lost["specular"] = text
     if (uncertain(bsdf) or model.states_uncertainty) and "uncertainty" not in format.carries:
         lost["uncertainty"] = "standard uncertainties"
@@ -114,8 +114,8 @@ def left_out(bsdf: xr.Dataset, format: Format, channels: int) -> dict[str, str]:
     return lost
 
 
-def _specular(model: Representation) -> str:
-    """The share of light in single directions, which no density holds."""
+def specular_shares(model: Representation) -> str:
+    """The share of light in single directions, which no density holds, in words; empty where there is none."""
     shares = [part.mean(axis=-1) for part in model.specular(_STATED_AT, np.zeros_like(_STATED_AT), None)]
     texts = []
     for share, words in zip(shares, ("mirrored", "transmitted undeviated"), strict=True):

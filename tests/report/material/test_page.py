@@ -194,6 +194,7 @@ def test_every_exported_file_is_listed_as_its_format_declares_it(
         ("abs-grain.toy, abs-grain.toy.csv", "rays that &lt;toys&gt; read"),
         ("abs-grain.lambert_gauss.csv", "parameters of the Lambert + Gauss fit"),
     ]
+    assert "Mueller matrices" in html
     assert "Exported files" not in material_page({"spectrum": full["spectrum"]})
 
 

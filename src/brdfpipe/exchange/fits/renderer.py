@@ -8,6 +8,7 @@ import numpy as np
 import xarray as xr
 
 from brdfpipe.bsdf.nonspectral import nonspectral
+from brdfpipe.bsdf.registry import representation
 from brdfpipe.exchange import records
 from brdfpipe.exchange.fits.fitting import Fit, Form, checked, fit, index_of, is_smooth
 from brdfpipe.exchange.fits.forms import Lobe, dielectric, nothing, schlick
@@ -37,8 +38,8 @@ class Fitted:
         """Material, digest, parameters, error and losses."""
         found = self.fit
         left_out = records.left_out(self.bsdf, format, channels=3)
-        if self.is_smooth:
-            left_out.pop("specular", None)
+        if not self.is_smooth and (shares := records.specular_shares(representation(self.bsdf))):
+            left_out["specular"] = shares
         return {
             "material": str(self.bsdf.attrs.get("material", "unnamed")),
             "digest": str(self.bsdf.attrs.get("digest", "unknown")),

@@ -10,7 +10,8 @@ import xarray as xr
 
 from brdfpipe.appearance.verdicts import check_verdicts, json_object
 from brdfpipe.bsdf.registry import representation
-from brdfpipe.exchange.registry import FORMATS
+from brdfpipe.exchange.records import left_out
+from brdfpipe.exchange.registry import FORMATS, PROPERTIES, Format
 from brdfpipe.report.cards import Section, Table
 from brdfpipe.report.formatting import quantity
 
@@ -40,14 +41,27 @@ def exports_table(datasets: Mapping[str, xr.Dataset], name: str, formats: Collec
     bsdf = datasets.get("bsdf")
     sides = ("reflection", "transmission") if bsdf is not None and representation(bsdf).is_slab else ("reflection",)
     rows = [
-        (", ".join(f"{name}{suffix}" for suffix in FORMATS[format].suffixes(side)), side, FORMATS[format].description)
+        (
+            ", ".join(f"{name}{suffix}" for suffix in FORMATS[format].suffixes(side)),
+            side,
+            FORMATS[format].description,
+            "" if bsdf is None else _left_out(bsdf, FORMATS[format]),
+        )
         for format in formats
         for side in sides
         if side in FORMATS[format].files
     ]
     if "lambert_gauss" in datasets:
-        rows.append((f"{name}.lambert_gauss.csv", "reflection", "parameters of the Lambert + Gauss fit"))
-    return Table("Exported files", ("Files", "Side", "Description"), rows, "In the folder `exports`.") if rows else None
+        rows.append((f"{name}.lambert_gauss.csv", "reflection", "parameters of the Lambert + Gauss fit", ""))
+    note = "In the folder `exports`. A `.json` beside a file states the error of the file at directions off its nodes, and its own reflectance."
+    return Table("Exported files", ("Files", "Side", "Description", "Not in the file"), rows, note) if rows else None
+
+
+def _left_out(bsdf: xr.Dataset, format: Format) -> str:
+    """What the BSDF has and files of the format, with its default options, do not hold."""
+    has_spectrum = "spectrum" in format.carries and not format.spectral
+    # More than three channels are a spectrum.
+    return "; ".join(PROPERTIES[name] for name in left_out(bsdf, format, channels=4 if has_spectrum else 1))
 
 
 def provenance(stage: str, dataset: xr.Dataset) -> dict[str, Any]:
