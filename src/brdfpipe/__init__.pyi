@@ -8,7 +8,9 @@ from . import flakes as flakes
 from . import geometry as geometry
 from . import hemisphere as hemisphere
 from . import masking as masking
+from . import mitsuba as mitsuba
 from . import optics as optics
+from . import radiance as radiance
 from . import report as report
 from . import rig as rig
 from . import spectra as spectra

@@ -124,10 +124,14 @@ class Format:
             return
         record = self.function(writer)(bsdf, Path(path), **options)
         if self.has_record:
-            from brdfpipe import store
+            self.write_record(path, record)
 
-            record = {"format": self.name, "file": Path(path).name, **record}
-            store.write_text(f"{path}{RECORD}", json.dumps(record, indent=1, ensure_ascii=False, sort_keys=True) + "\n")
+    def write_record(self, path: str | os.PathLike[str], record: Mapping[str, Any]) -> None:
+        """Write what a writer returned beside its file."""
+        from brdfpipe import store
+
+        record = {"format": self.name, "file": Path(path).name, **record}
+        store.write_text(f"{path}{RECORD}", json.dumps(record, indent=1, ensure_ascii=False, sort_keys=True) + "\n")
 
     def function(self, name: str) -> Callable[..., Any]:
         """A function of the format's module, which this imports."""

@@ -195,38 +195,40 @@ def _node_values(
     return np.asarray(np.maximum(brdf, 0.0) * (cosine * scale)[:, None])
 
 
-def write(bsdf: xr.Dataset, path: Path, **grid: Any) -> records.Record:
+def write(bsdf: xr.Dataset, path: Path, *, scale: float = 1.0, **grid: Any) -> records.Record:
     """Write linear sRGB (D65), for the variants of Mitsuba that render in colours.
 
     Parameters
     ----------
     bsdf : kind ``bsdf``
     path : the file; it appears whole or not at all
+    scale : of all values, for a blend; the description of the file states it
     grid : ``tolerance``, ``albedo_tolerance`` and ``largest``, see :data:`brdfpipe.exchange.registry.GRID_OPTIONS`
     """
-    return _write(bsdf, path, gridded.linear_rgb(bsdf), None, grid)
+    return _write(bsdf, path, gridded.linear_rgb(bsdf), None, scale, grid)
 
 
-def write_spectral(bsdf: xr.Dataset, path: Path, **grid: Any) -> records.Record:
+def write_spectral(bsdf: xr.Dataset, path: Path, *, scale: float = 1.0, **grid: Any) -> records.Record:
     """Write values by wavelength, for the spectral variants of Mitsuba; parameters as for :func:`write`."""
     wavelength = bsdf["wavelength"].values if "wavelength" in bsdf.coords else np.array([360.0, 830.0])
-    return _write(bsdf, path, gridded.spectral(bsdf, wavelength), wavelength, grid)
+    return _write(bsdf, path, gridded.spectral(bsdf, wavelength), wavelength, scale, grid)
 
 
 def _write(
-    bsdf: xr.Dataset, path: Path, channels: Channels, wavelength: Array | None, grid: Mapping[str, Any]
+    bsdf: xr.Dataset, path: Path, channels: Channels, wavelength: Array | None, scale: float, grid: Mapping[str, Any]
 ) -> records.Record:
     tables, error, met = _chosen(bsdf, **grid)
     side, incidences = tables.values.shape[-1], tables.theta_i.size
     tables = tables_of(bsdf, channels, side, incidences)
     count = tables.values.shape[1]
     values = np.broadcast_to(
-        tables.values, (len(tables.values), wavelength.size if wavelength is not None else 3, side, side)
+        scale * tables.values, (len(tables.values), wavelength.size if wavelength is not None else 3, side, side)
     )
     lead = tables.phi_i.size, tables.theta_i.size
     luminance = np.maximum(tables.values.mean(axis=1), 1e-9 * tables.values.max())
+    note = "" if scale == 1 else f"; the values are {scale:g} times the BRDF"
     fields = {
-        "description": np.frombuffer(records.comment(bsdf).encode("ascii", "replace"), dtype=np.uint8),
+        "description": np.frombuffer((records.comment(bsdf) + note).encode("ascii", "replace"), dtype=np.uint8),
         "jacobian": np.ones(1, dtype=np.uint8),
         "phi_i": tables.phi_i,
         "theta_i": tables.theta_i,

@@ -1,0 +1,44 @@
+"""Materials of Radiance: the primitive and its file."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import samples
+
+from brdfpipe import radiance
+from brdfpipe.exchange.registry import ExchangeError
+
+
+def test_the_primitive_names_the_file_and_the_up_vector(tmp_path):
+    grey = samples.beckmann_bsdf(0.3).assign_attrs(material="grey paint")
+    text = radiance.material(grey, tmp_path, up=(0, 0, 1), largest=5_000)
+    *notes, head, arguments, no_words, no_numbers = text.splitlines()
+    assert head == "void BSDF grey_paint"
+    assert arguments == f"6 0 {tmp_path / 'grey_paint.tree.xml'} 0 0 1 ."
+    assert (no_words, no_numbers) == ("0", "0")
+    assert all(note.startswith("# NOT in this material: ") for note in notes)
+    assert any("polarisation" in note for note in notes)
+    assert (tmp_path / "grey_paint.tree.xml").exists()
+
+
+def test_klems_matrices_on_request(tmp_path):
+    text = radiance.material(samples.beckmann_bsdf(0.3), tmp_path, "grey", format="klems", thickness=0.01)
+    assert f"6 0.01 {tmp_path / 'grey.klems.xml'} 0 1 0 ." in text
+
+
+def test_what_radiance_cannot_take_is_refused(tmp_path):
+    with pytest.raises(ExchangeError, match="unknown format"):
+        radiance.material(samples.beckmann_bsdf(0.3), tmp_path, "x", format="rgl")
+    with pytest.raises(ExchangeError, match="blank"):
+        radiance.material(samples.beckmann_bsdf(0.3), tmp_path / "a b", "x")
+
+
+def test_radiance_loads_the_file(tmp_path):
+    module = pytest.importorskip("pyradiance.bsdf", reason="pyradiance is not there")
+    grey = samples.beckmann_bsdf(0.3)
+    radiance.material(grey, tmp_path, "grey")
+    loaded = module.load_file(str(tmp_path / "grey.tree.xml"))
+    total = module.direct_hemi(loaded, 30.0, 0.0, module.SAMPLE_ALL)
+    assert total == pytest.approx(float(grey.bsdf.nonspectral().bsdf.albedo(30.0)), rel=0.01)
+    assert np.isfinite(total)
