@@ -17,7 +17,7 @@ from brdfpipe.spectra import colorimetry
 from brdfpipe.stages import STAGES
 
 PROJECT = Path(__file__).parents[1]
-PAGES = [PROJECT / "README.md", PROJECT / "CONTRIBUTING.md", *sorted((PROJECT / "docs").glob("*.md"))]
+PAGES = [PROJECT / "README.md", PROJECT / "CONTRIBUTING.md", *sorted((PROJECT / "docs").rglob("*.md"))]
 FILE_TYPES = ("csv", "html", "json", "nc", "py", "pyi", "yaml")
 
 

@@ -243,7 +243,20 @@ def _write(
     written = {name: field if field.dtype == np.uint8 else field.astype(np.float32) for name, field in fields.items()}
     tensor_file.write(path, written)
     size = int(np.prod(lead)) * side * side * count
-    return records.record(_Written(bsdf, error, met, size, 3 if wavelength is None else max(count, 4)), FORMAT)
+    record = records.record(_Written(bsdf, error, met, size, 3 if wavelength is None else max(count, 4)), FORMAT)
+    record["left_out"] |= _outside_gamut(bsdf, channels) if wavelength is None else {}
+    return record
+
+
+def _outside_gamut(bsdf: xr.Dataset, channels: Channels) -> dict[str, str]:
+    """A sentence where colours outside sRGB have negative values, which the file cannot hold."""
+    pairs = fresh_pairs(nonspectral(bsdf), seed=2)
+    brdf = channels.convert(representation(channels.source).evaluate(*pairs, channels.wavelength))
+    share = float((brdf < 0).any(axis=-1).mean())
+    if share == 0:
+        return {}
+    sentence = f"colours outside sRGB: in {share:.1%} of the directions a negative value of R, G or B became 0; the spectral file has them"
+    return {"gamut": sentence}
 
 
 class _Written(NamedTuple):
