@@ -13,6 +13,7 @@ import samples
 import xarray as xr
 
 from brdfpipe import store, vocabulary
+from brdfpipe.bsdf.tabulation import grid_for
 from brdfpipe.jobs.build import build as build_catalogue
 
 COLOUR = "spectrum: {lab: [50, 10, 10], illuminant: D65, observer: 10, geometry: sci}\n"
@@ -26,6 +27,9 @@ MATERIALS = {
     "polished": "surface: {distribution: flat}\nindex: 1.5\n",
     "steel": "surface: {distribution: ggx, a: 0.15}\nindex: {n: 2.9, k: 3.1}\n",
 }
+
+
+GRID = {"theta_i": [0, 45], "theta_o": [0, 30, 60], "phi_o": [0, 90, 180], "phi_i": [0, 180, 360]}
 
 
 @pytest.fixture(scope="module")
@@ -43,10 +47,10 @@ def build_finishes(base: Path, slow: bool) -> None:
     for file, value in (("frosted/a.txt", 0.05), ("brushed/r.txt", 0.2)):
         rows = "".join(f"{nm} {value}\n" for nm in range(380, 741, 20))
         (base / "catalogue" / file).write_text(f"nm a\n{rows}")
-    # Coarse tables, few fits and no reflectance haze: what is in them is not the question here.
+    # Few fits and no reflectance haze: what is in them is not the question here.
     settings = base / "settings.yaml"
     settings.write_text(
-        "table: {theta_i: [0, 45], theta_o: [0, 30, 45, 60], phi_o: [0, 90, 180], refine: false}\n"
+        "exports: [astm]\n"
         "lambert_gauss: {theta_i: [0, 45]}\n"
         "appearance: {haze: []}\n"
         f"preview: {str(slow).lower()}\n"
@@ -81,7 +85,7 @@ def test_a_brushed_material_keeps_its_lay_to_the_last_file(results: Path) -> Non
     assert abs(float(computed["lay"])) < 5
     # With waves, a good part of the gloss at 85° is coherent light (g = 2.4), which has no lay.
     assert float(computed["gloss_along"][2]) > 1.3 * float(computed["gloss_across"][2])
-    assert opened(results, "brushed", "table")["brdf"].dims[0] == "phi_i"
+    assert "phi_i" in grid_for(opened(results, "brushed", "bsdf"), GRID)
     assert "NOT isotropic" in (results / "brushed" / "exports" / "brushed.astm").read_text()
     fits = pd.read_csv(results / "brushed" / "exports" / "brushed.lambert_gauss.csv", comment="#")
     assert fits["phi_i_deg"].nunique() == 4
@@ -120,7 +124,7 @@ def test_a_clear_sheet_has_two_faces_and_two_sides(results: Path) -> None:
     assert 0 < float(computed["transmission_haze"]) < 1
     exports = {path.name for path in (folder / "exports").iterdir()}
     assert {"frosted.transmission.astm", "frosted.total_transmittance.csv"} <= exports
-    assert opened(results, "frosted", "table")["theta_o"].values.max() > 90
+    assert max(grid_for(opened(results, "frosted", "bsdf"), GRID)["theta_o"]) > 90
 
 
 def test_only_sheets_have_files_of_transmission(results: Path) -> None:

@@ -74,7 +74,7 @@ def test_every_dataset_has_its_material_stage_and_digest(built: tuple[Path, Path
         dataset = store.verify_digest(store.open_dataset(path), path.name)
         assert dataset.attrs["material"] == path.parent.name
         assert dataset.attrs["stage"] == path.stem
-    assert len(paths) == 18 + 10 + 10 + 18
+    assert len(paths) == 17 + 9 + 9 + 17
 
 
 def test_the_lock_lists_every_dataset(built: tuple[Path, Path]) -> None:
@@ -91,9 +91,8 @@ def test_every_material_has_its_page_and_exports(built: tuple[Path, Path]) -> No
     for name in EXAMPLES:
         assert (results / name / "report.html").stat().st_size > 10_000
         exports = {path.name for path in (results / name / "exports").iterdir()}
-        assert exports == {
-            f"{name}.{kind}" for kind in ("astm", "astm.json", "total_reflectance.csv", "lambert_gauss.csv")
-        }
+        named = ("astm", "astm.json", "total_reflectance.csv", "mtlx", "mtlx.json") if name == "paint-lab" else ()
+        assert exports == {f"{name}.{kind}" for kind in (*named, "lambert_gauss.csv")}
         assert name in (results / "index.html").read_text()
 
 
@@ -262,21 +261,22 @@ def test_the_scripts_only_read_call_and_write() -> None:
 
 
 @pytest.mark.parametrize(
-    "deleted",
+    ("name", "deleted"),
     [
-        ("report.html", "exports/abs-grain.total_reflectance.csv", "exports/abs-grain.lambert_gauss.csv"),
-        ("exports/abs-grain.astm", "lambert_gauss.nc"),
+        ("abs-grain", ("report.html", "exports/abs-grain.lambert_gauss.csv")),
+        ("paint-lab", ("exports/paint-lab.total_reflectance.csv", "exports/paint-lab.mtlx.json")),
+        ("paint-lab", ("exports/paint-lab.astm", "lambert_gauss.nc")),
     ],
 )
 def test_every_deleted_file_is_made_again_as_it_was(
-    built: tuple[Path, Path], results: Path, deleted: tuple[str, ...]
+    built: tuple[Path, Path], results: Path, name: str, deleted: tuple[str, ...]
 ) -> None:
     """One file of each stage at a time: a stage with two files notices either."""
     folder, undamaged = built
     for file in deleted:
-        (results / "abs-grain" / file).unlink()
+        (results / name / file).unlink()
     summary = build_catalogue(folder, results, cores=2)
-    assert summary.built == ("abs-grain",)
+    assert summary.built == (name,)
     assert contents(results) == contents(undamaged)
 
 

@@ -101,5 +101,6 @@ def _write_material(catalogue_folder: Path, name: str, raw: str = "1 2 3", descr
         "surface: {file: raw.txt, unit: um, pitch: 1}\n"
         "index: 1.5\n"
         "spectrum: {file: reflectance.txt, geometry: sci}\n"
+        "exports: [astm]\n"
     )
     return material

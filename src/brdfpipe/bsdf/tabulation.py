@@ -20,7 +20,7 @@ from brdfpipe.errors import VocabularyError
 from brdfpipe.geometry import Array, check_angles
 
 WARN_LIMIT, FAIL_LIMIT = 0.05, 0.5
-"""Relative difference between the reflectance of the grid and of the model above which a table warns, or fails."""
+"""Relative difference between the reflectance of the grid and of the model, or rms error of the interpolation, above which a table warns, or fails."""
 
 _OFFSETS = np.array([0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 7.0, 10.0, 15.0])
 _LAST_ABOVE = 89.9
@@ -267,7 +267,7 @@ def relative_loss(table: xr.Dataset) -> xr.DataArray:
 
 
 def verdict_of(table: xr.Dataset) -> str:
-    """``pass``, ``warn`` or ``fail``, by the difference between the reflectance of a table and of its model."""
+    """``pass``, ``warn`` or ``fail``, by the reflectance of a table and by its interpolation, beside those of its model."""
     return str(json.loads(table.attrs["verdicts"])["table"]["verdict"])
 
 
@@ -395,12 +395,17 @@ def _trapezoid(brdf: Array, theta_o: Array, phi_o: Array) -> Array:
 
 
 def _with_verdict(table: xr.Dataset, remedy: str) -> xr.Dataset:
-    """Add the verdict on the grid's own integral, which programs that read a table rely on."""
+    """Add the verdict on the grid's own integral and on its interpolation, which programs that read a table rely on."""
     lost = relative_loss(table)
     by_incidence = lost.max("wavelength") if "wavelength" in lost.dims else lost
     worst, angle = float(by_incidence.max()), float(by_incidence.idxmax("theta_i"))
-    text = f"its own integral differs from the model's reflectance by up to {worst:.1%} (at {angle:g}° incidence)"
-    verdict = "fail" if worst > FAIL_LIMIT else "warn" if worst > WARN_LIMIT else "pass"
+    between = float(table["interpolation_rms"])
+    text = (
+        f"its own integral differs from the model's reflectance by up to {worst:.1%} (at {angle:g}° incidence), and its interpolation between "
+        f"incidences from the model by up to {between:.1%} (rms)"
+    )
+    largest = max(worst, between)
+    verdict = "fail" if largest > FAIL_LIMIT else "warn" if largest > WARN_LIMIT else "pass"
     table.attrs["verdicts"] = json.dumps({"table": {"verdict": verdict, "text": text}}, ensure_ascii=False)
     if verdict == "pass":
         return table
