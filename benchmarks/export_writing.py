@@ -79,7 +79,7 @@ def main(samples: int, only: str, out: Path) -> None:
 def measured(name: str, samples: int) -> Record:
     """Writing of one format."""
     bsdf, format = microfacet.build(facets.analytic("beckmann", 0.2), index=1.5), FORMATS[name]
-    layout = "specular" if name in ("zemax", "integra") else "uniform"
+    layout = "specular" if name in ("zemax", "integra", "ssdd") else "uniform"
     table = given(bsdf, layout, samples)
     gridded.gridded = lambda *_, **__: table  # type: ignore[assignment]
     writer, suffixes = next(iter(format.files["reflection"].items()))
