@@ -1,6 +1,6 @@
 """Measure the writing of large tables for other programs: samples a second, and the memory beyond that of the table's values.
 
-``python benchmarks/export_writing.py`` writes ``benchmarks/results/export_writing.json``. Every text format on a grid writes the same number of samples, which are given, so that
+``python benchmarks/export_writing.py`` writes ``benchmarks/results/export_writing.json``. Every format of rows of numbers on a grid writes the same number of samples, which are given, so that
 neither the BSDF nor the choice of nodes counts. Times are of the processor, and stand beside a floor in the same process: the conversion of the numbers alone. Each format is measured in a
 process of its own, because memory is a peak.
 """
@@ -8,6 +8,7 @@ process of its own, because memory is a peak.
 from __future__ import annotations
 
 import json
+import os
 import platform
 import resource
 import subprocess
@@ -29,7 +30,8 @@ from brdfpipe.exchange.registry import FORMATS, GRID_OPTIONS
 from brdfpipe.geometry import Array
 
 PROJECT = Path(__file__).resolve().parents[1]
-BINARY = ("rgl", "mdl")
+OTHERS = ("rgl", "mdl", "tensor-tree", "openmaterial", "bird")
+"""Formats on a grid that are binary, trees, or JSON."""
 WANTED_SPEED, WANTED_MEMORY = 1e6, 200.0
 """Samples a second, and MB."""
 
@@ -44,7 +46,9 @@ class Given(gridded.Gridded):
 
     def block(self, row: int) -> Array:
         assert self.values is not None
-        return np.roll(self.values, row, axis=0)
+        values = np.roll(self.values, row, axis=0)
+        circle = self.layout == "uniform" and self.axes["phi_o"][-1] > 180
+        return np.concatenate([values, values[:, -2::-1]], axis=1) if circle else values
 
     def integral(self, theta_i: float, values: Array) -> Array:
         return np.full(self.channel_count, 0.5)
@@ -61,7 +65,7 @@ def main(samples: int, only: str, out: Path) -> None:
     if only:
         print(json.dumps(measured(only, samples)))
         return
-    formats = [name for name, format in FORMATS.items() if format.takes == "grid" and name not in BINARY]
+    formats = [name for name, format in FORMATS.items() if format.takes == "grid" and name not in OTHERS]
     command = [sys.executable, __file__, "--samples", str(samples), "--only"]
     rows = {name: json.loads(subprocess.check_output([*command, name])) for name in formats}
     summary: Record = {
@@ -90,7 +94,7 @@ def measured(name: str, samples: int) -> Record:
         gridded.gridded = lambda *_, **__: small  # type: ignore[assignment]
         write(bsdf, Path(folder, f"small{suffixes[0]}"), **options)
         gridded.gridded = lambda *_, **__: table  # type: ignore[assignment]
-        path, before, begin = Path(folder, f"x{suffixes[0]}"), memory(), time.process_time()
+        path, before, begin = Path(folder, f"x{suffixes[0]}"), present_memory(), time.process_time()
         record = write(bsdf, path, **options)
         seconds, size = time.process_time() - begin, path.stat().st_size
     written = record["values"]
@@ -98,7 +102,7 @@ def measured(name: str, samples: int) -> Record:
         "values": written,
         "samples_per_s": round(written / seconds),
         "of_the_numbers_alone": round(floor() * written / seconds, 2),
-        "extra_megabytes": round(memory() - before),
+        "extra_megabytes": round(peak_memory() - before),
         "file_megabytes": round(size / 1e6),
     }
 
@@ -128,9 +132,14 @@ def floor() -> float:
     return min(times) / values.size
 
 
-def memory() -> float:
-    """Peak of this process [MB]."""
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
+def present_memory() -> float:
+    """Memory of this process now [MB]."""
+    return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6
+
+
+def peak_memory() -> float:
+    """Most memory that this process has had [MB]."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 / 1e6
 
 
 if __name__ == "__main__":
