@@ -1,6 +1,6 @@
 from pathlib import Path
 
-from brdfpipe.jobs import cluster
+from brdfpipe.jobs import cluster, scheduling
 from brdfpipe.jobs.rules import Pipeline
 from brdfpipe.jobs.staleness import force_stale
 from brdfpipe.stages import EXPORTS
@@ -40,6 +40,7 @@ include: "workflow/rules/catalogue.smk"
 pipeline.declare_stage_properties(workflow)
 pipeline.before_planning(lambda pipeline: cluster.prepare(workflow))
 pipeline.before_planning(lambda pipeline: force_stale(pipeline, workflow))
+scheduling.by_material()
 
 
 rule all:

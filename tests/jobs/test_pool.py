@@ -77,6 +77,19 @@ def test_jobs_at_once_have_a_worker_each(tmp_path: Path, workers: pool.Pool) -> 
     assert result(tmp_path, "a")[0] != result(tmp_path, "b")[0]
 
 
+def test_jobs_of_a_material_go_to_the_worker_that_holds_its_datasets(tmp_path: Path, workers: pool.Pool) -> None:
+    def processes(wait: float) -> list[object]:
+        jobs = [job(tmp_path, name, sleep=wait) for name in ("a", "b")]
+        with ThreadPoolExecutor(2) as threads:
+            list(threads.map(workers.perform, jobs))
+        return [result(tmp_path, name)[0] for name in ("a", "b")]
+
+    first = processes(0.5)
+    for name, process in zip(("a", "b", "a"), (*first, first[0]), strict=True):
+        workers.perform(job(tmp_path, name))
+        assert result(tmp_path, name)[0] == process
+
+
 def test_a_killed_worker_fails_its_own_job_by_name_and_no_other(tmp_path: Path, workers: pool.Pool) -> None:
     jobs = [job(tmp_path, "good", sleep=0.3), job(tmp_path, "bad", die=True), job(tmp_path, "other")]
     with ThreadPoolExecutor(3) as threads:

@@ -77,7 +77,7 @@ class Pool:
         """Run a job in a worker and wait for it; in a new worker if the first is killed."""
         died = WorkerDied(None)
         for _ in range(ATTEMPTS):
-            worker = self._take()
+            worker = self._take(job.material)
             try:
                 outcome = worker.perform(job)
             except TookTooLong:
@@ -112,14 +112,20 @@ class Pool:
             self._workers.discard(worker)
         worker.process.kill()
 
-    def _take(self) -> _Worker:
+    def _take(self, material: str) -> _Worker:
+        """An idle worker, that which had the last job of the material if it is idle: it holds the datasets of the material."""
         with self._lock:
             if self._closed:
                 raise StageError("interrupted")
-            if self._idle:
-                return self._idle.pop()
-            worker = _Worker()
-            self._workers.add(worker)
+            worker = next((one for one in self._idle if one.material == material), None)
+            if worker is not None:
+                self._idle.remove(worker)
+            elif self._idle:
+                worker = self._idle.pop()
+            else:
+                worker = _Worker()
+                self._workers.add(worker)
+            worker.material = material
             return worker
 
 
@@ -127,6 +133,7 @@ class _Worker:
     """One process and the connection to it."""
 
     def __init__(self) -> None:
+        self.material = ""
         context = multiprocessing.get_context("forkserver")
         context.set_forkserver_preload([*PRELOADED, *sorted(_also_preloaded)])
         resource_tracker.ensure_running()  # started later, the tracker would unblock SIGINT again
