@@ -46,5 +46,4 @@ scheduling.by_material()
 rule all:
     default_target: True
     input:
-        # All files, so that a deleted one is made again.
-        pipeline.files(),
+        pipeline.targets,

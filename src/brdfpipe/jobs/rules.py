@@ -84,6 +84,8 @@ class Pipeline:
         self._code: dict[str, str] = {}
         self._before_planning: list[Callable[[Pipeline], None]] = []
         self._subjects: dict[tuple[str, str], Subject] = {}
+        self.current: dict[str, str] = {}
+        """Results that need not be made again → their absolute paths, by which snakemake takes them for given files and plans no job for them."""
 
     def subject(self, owner: Material | Calibration, scene: Scene | None = None) -> Subject:
         """The material or calibration, the configuration, the planned arrangements, and the scene of its results."""
@@ -184,15 +186,20 @@ class Pipeline:
             pattern.format(scene=scene.folder) for scene in scenes for pattern in self._outputs["catalogue"]
         ] + of_materials
 
+    @_input_function
+    def targets(self, wildcards: Any) -> list[str]:
+        """The results that have to be made; of a run on the node of a cluster, which is told its jobs, all."""
+        return [path for path in self.files() if path not in self.current]
+
     def _given(self, files: InputFunction) -> InputFunction:
-        """A function as snakemake gets it: it asks first what has to run, and marks raw files, whose times have no effect."""
+        """A function as snakemake gets it: it asks first what has to run, and marks given files, whose times have no effect."""
 
         def give(wildcards: Any) -> Any:
             if self._before_planning:
                 actions, self._before_planning = self._before_planning, []
                 for action in actions:
                     action(self)
-            return _ageless(files(wildcards))
+            return _ageless(files(wildcards), self.current)
 
         return give
 
@@ -310,13 +317,17 @@ class Pipeline:
             scene=wildcards.get("scene", ""),
             script=str(self._script(stage)),
             folder=str(Path.cwd()),
-            input=_existing_paths(input),
-            output=_existing_paths(output),
+            input={name: self._as_planned(_existing(value)) for name, value in input.items() if value},
+            output={name: _existing(value) for name, value in output.items() if value},
             spec=json.loads(params.spec),
             most_seconds=limits.get("seconds"),
             most_memory=limits.get("memory"),
         )
-        index, inputs, outputs = shared_index(Path.cwd()), list(map(str, input)), list(map(str, output))
+        index, inputs, outputs = (
+            shared_index(Path.cwd()),
+            self._as_planned(list(map(str, input))),
+            list(map(str, output)),
+        )
         read = index.inputs(inputs)
         index.start(outputs)
         outcome = pool.shared_pool().perform(job)
@@ -325,6 +336,13 @@ class Pipeline:
         if index.inputs(inputs) == read:  # a file that changed meanwhile is read again by the next build
             beside = _files_below(Path(outputs[0]).parent) if stage.fills_folder else []
             index.finish(digest_of(params.spec), self._code[rule], read, list(dict.fromkeys([*outputs, *beside])))
+
+    def _as_planned(self, files: Any) -> Any:
+        """Input files, those of :attr:`current` by their paths in the results."""
+        if not isinstance(files, str):
+            return [self._as_planned(file) for file in files]
+        path = files.removeprefix(f"{Path.cwd()}/")
+        return path if path in self.current else files
 
     def _script(self, stage: Stage) -> Path:
         return self.scripts / f"{stage.script}.py"
@@ -375,13 +393,14 @@ def _link(scene: str, source: str) -> str:
     return f"{'' if source == DEFAULT else '../../'}{folder}index.html"
 
 
-def _ageless(files: Any) -> Any:
-    """Input files, the raw ones marked so that snakemake does not look at their times."""
+def _ageless(files: Any, current: Mapping[str, str]) -> Any:
+    """Input files, the raw and the current ones marked so that snakemake does not look at their times."""
     if isinstance(files, dict):
-        return {name: _ageless(value) for name, value in files.items()}
+        return {name: _ageless(value, current) for name, value in files.items()}
     if isinstance(files, str):
-        return _ancient(files) if Path(files).is_absolute() else files
-    return [_ageless(file) for file in files]
+        given = current.get(files, files)
+        return _ancient(given) if given.startswith("/") or Path(given).is_absolute() else given
+    return [_ageless(file, current) for file in files]
 
 
 def _ancient(path: str) -> Any:
@@ -409,10 +428,5 @@ def _times_attempt(value: int) -> Callable[[Any, int], int]:
     return lambda wildcards, attempt: value * attempt
 
 
-def _existing_paths(files: Any) -> dict[str, str | list[str]]:
-    """Paths by the names that the rule gave, without files that the material does not have."""
-    return {
-        name: str(value) if isinstance(value, str) else [str(item) for item in value]
-        for name, value in files.items()
-        if value
-    }
+def _existing(files: Any) -> str | list[str]:
+    return str(files) if isinstance(files, str) else [str(file) for file in files]

@@ -21,6 +21,8 @@ class Examination:
 
     stale: list[str] = field(default_factory=list)
     """Outputs of the jobs that have to run."""
+    current: list[str] = field(default_factory=list)
+    """Outputs of the other jobs that exist."""
     replaced: list[str] = field(default_factory=list)
     """Results that are not what their jobs wrote."""
     older: dict[str, int] = field(default_factory=dict)
@@ -35,9 +37,10 @@ def examine(pipeline: Pipeline, index: Index) -> Examination:
 
 
 def force_stale(pipeline: Pipeline, workflow: Any) -> None:
-    """Let snakemake run the jobs that have to run, as ``--forcerun`` does, and no others; call it while it plans.
+    """Let snakemake run the jobs that have to run, as ``--forcerun`` does, and plan no others; call it while it plans.
 
-    It would also run a job with an input newer than its output. So a result that is current is made as new as those it was made from.
+    On the node of a cluster, it would also run a job with an input newer than its output. So a result that is current is made as new as
+    those it was made from.
     """
     if not workflow.is_main_process:
         return
@@ -48,6 +51,8 @@ def force_stale(pipeline: Pipeline, workflow: Any) -> None:
             with suppress(OSError):  # write-protected: its job runs again
                 index.touch(path, time_ns)
     workflow.dag.forcefiles.update(examination.stale)
+    folder = str(Path.cwd())
+    pipeline.current = {path: f"{folder}/{path}" for path in examination.current}
     workflow.dag.check_output_mtime = _accept_any_time
     index.examined = {path: index.digest(path) for path in examination.files}
     index.replaced.update(examination.replaced)
@@ -80,6 +85,7 @@ class _Examiner:
             if self._verdicts[name]:
                 self.examination.stale += job.outputs
             else:
+                self.examination.current += [path for path in job.outputs if self.index.digest(path)]
                 newest = max((self._time(path) for path in inputs if path in self.jobs), default=0)
                 self.examination.older |= {path: newest for path in job.outputs if 0 < self._time(path) < newest}
         return self._verdicts[name]
