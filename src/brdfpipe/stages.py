@@ -7,8 +7,10 @@ the stage, its log and message, ``rule all``, the order of the report and the ta
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
 from pathlib import PurePath
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -36,6 +38,7 @@ from brdfpipe.masking.modes import (
 from brdfpipe.scenes import geometries
 from brdfpipe.scenes.domain import Domain
 from brdfpipe.scenes.results import PARTS, RESULTS
+from brdfpipe.store import canonical_json
 
 if TYPE_CHECKING:
     from brdfpipe.catalogue.calibration import Calibration
@@ -74,7 +77,7 @@ class Subject:
         """How the BSDF is obtained: measured, imported, flake or predicted."""
         return next((route for part, route in ROUTES if part in self.owner.content), "predicted")
 
-    @property
+    @cached_property
     def planned(self) -> bool:
         """Whether the model is the cheapest that the scene allows; keys of ``model`` decide themselves."""
         content = self.owner.content
@@ -392,9 +395,18 @@ def geometries_in(domain: Domain, config: Mapping[str, Any]) -> dict[str, list[A
     }
 
 
+@lru_cache(64)
+def _known_geometries(domain: str, config: str) -> dict[str, list[Any]]:
+    """As :func:`geometries_in`, of JSON: the same for all materials of a scene; nobody may change it."""
+    content = json.loads(domain)
+    return geometries_in(EVERYWHERE if content is None else Domain(content), json.loads(config))
+
+
 def _appearance_parts(subject: Subject) -> dict[str, list[Any]]:
     """The parts of the appearance that the scene asks for → their geometries in its domain; gloss and haze without any are left out."""
-    found = geometries_in(EVERYWHERE if subject.scene is None else subject.scene.domain, subject.config)
+    domain = None if subject.scene is None else subject.scene.content["domain"]
+    config = {key: subject.config[key] for key in ("appearance", "gloss_angles")}
+    found = _known_geometries(canonical_json(domain), canonical_json(config))
     wanted = PARTS if subject.scene is None else subject.scene.parts
     return {part: found.get(part, []) for part in wanted if part not in ("gloss", "haze") or found[part]}
 
@@ -417,7 +429,7 @@ def _appearance(subject: Subject) -> dict[str, Any]:
     if "colour" in parts:
         settings |= {"illuminant": config["illuminant"], "observer": config["observer"]}
         own = {"geometries": parts["colour"], "standard_geometries": False}
-        every = parts["colour"] == geometries_in(EVERYWHERE, config)["colour"]
+        every = parts["colour"] == _appearance_parts(replace(subject, scene=None))["colour"]
         settings |= {"geometries": config["appearance"]["geometries"]} if every else own
     return settings
 

@@ -254,3 +254,22 @@ def test_a_raw_file_that_changes_during_the_build_is_read_by_the_next_one(
         build(folder, results)
     assert build(folder, results).built == ("first",)
     assert build(folder, results).jobs == 0
+
+
+def test_an_edited_key_plans_the_jobs_that_depend_on_it_and_no_others(
+    folder: Path, results: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    description = folder / "first" / "material.yaml"
+    description.write_text(description.read_text().replace("index: 1.5", "index: 1.6"))
+    from snakemake.dag import DAG
+
+    sizes, update_ready = [], DAG.update_ready
+
+    def noted(dag: DAG, jobs: Any = None) -> bool:
+        sizes.append(len(dag))
+        return bool(update_ready(dag, jobs))
+
+    monkeypatch.setattr(DAG, "update_ready", noted)
+    summary = build(folder, results)
+    assert summary.built == ("first",)
+    assert max(sizes) == summary.jobs + 1  # and the rule of all results

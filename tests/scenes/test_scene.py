@@ -235,11 +235,11 @@ def test_formats_are_those_of_the_material_where_the_scene_says_so() -> None:
     assert Scene("mine", {"exports": ["astm"]}).exports([]) == ("astm",)
 
 
-@pytest.fixture(scope="module")
-def subjects(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Subject]:
+@pytest.fixture
+def subjects(tmp_path: Path) -> dict[str, Subject]:
     """A material with a scan, for every shipped scene."""
-    folder = tmp_path_factory.mktemp("catalogue")
-    (folder / "m").mkdir()
+    folder = tmp_path / "catalogue"
+    (folder / "m").mkdir(parents=True)
     (folder / "m" / "a.txt").write_text("0 1\n1 0\n")
     (folder / "m" / "material.yaml").write_text("surface: {file: a.txt, unit: um, pitch: 1}\nindex: 1.5\n" + COLOUR)
     loaded = load(folder)
