@@ -188,8 +188,12 @@ class Pipeline:
 
     @_input_function
     def targets(self, wildcards: Any) -> list[str]:
-        """The results that have to be made; of a run on the node of a cluster, which is told its jobs, all."""
-        return [path for path in self.files() if path not in self.current]
+        """The results that have to be made, or one of them if there is none: snakemake runs a rule without files always.
+
+        On the node of a cluster, which is told its jobs, all results.
+        """
+        files = self.files()
+        return [path for path in files if path not in self.current] or files[:1]
 
     def _given(self, files: InputFunction) -> InputFunction:
         """A function as snakemake gets it: it asks first what has to run, and marks given files, whose times have no effect."""
