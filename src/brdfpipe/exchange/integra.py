@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from brdfpipe import store
 from brdfpipe.bsdf.one_side import Side
 from brdfpipe.errors import InputError
-from brdfpipe.exchange import gridded, number_text, records
+from brdfpipe.exchange import gridded, number_text, records, specular_shares
 from brdfpipe.exchange.azimuths import circle, closed
 from brdfpipe.exchange.read_table import Channels, ReadTable
 from brdfpipe.exchange.registry import ExchangeError, Format
@@ -33,8 +33,12 @@ from brdfpipe.geometry import Array
 
 FORMAT = Format(
     description="a table about the specular ray, for Integra's Lumicept and Inspirer",
-    files={"reflection": {"write": (".ddr",)}, "transmission": {"write_transmission": (".ddt",)}},
+    files={
+        "reflection": {"write": (".ddr",), "write_mirrored": (".sdr",)},
+        "transmission": {"write_transmission": (".ddt",), "write_undeviated": (".sdt",)},
+    },
     takes="grid",
+    beside=("write_mirrored", "write_undeviated"),
     carries=("transmission", "lay", "colour", "spectrum"),
     options={"colour": "bw"},
     spectral={"colour": "spectral"},
@@ -72,6 +76,16 @@ def write(bsdf: xr.Dataset, path: Path, *, colour: str = "bw", **grid: Any) -> r
 def write_transmission(bsdf: xr.Dataset, path: Path, *, colour: str = "bw", **grid: Any) -> records.Record:
     """Write the light that passes a sheet, about the ray that goes straight on; as :func:`write`."""
     return _write(bsdf, path, "transmission", colour, grid)
+
+
+def write_mirrored(bsdf: xr.Dataset, path: Path) -> None:
+    """Write the share of light that is mirrored into a single direction, weighted with V(λ) and D65."""
+    specular_shares.write(bsdf, path, "reflection")
+
+
+def write_undeviated(bsdf: xr.Dataset, path: Path) -> None:
+    """Write the share of light that passes a sheet in a single direction, weighted with V(λ) and D65."""
+    specular_shares.write(bsdf, path, "transmission")
 
 
 def _write(bsdf: xr.Dataset, path: Path, side: Side, colour: str, grid: Mapping[str, Any]) -> records.Record:

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from brdfpipe import store
 from brdfpipe.bsdf.one_side import Side
 from brdfpipe.bsdf.registry import representation
-from brdfpipe.exchange import gridded, number_text, records, ssdd_blocks
+from brdfpipe.exchange import gridded, number_text, records, specular_shares, ssdd_blocks
 from brdfpipe.exchange.read_table import ReadTable
 from brdfpipe.exchange.registry import ExchangeError, Format
 from brdfpipe.geometry import Array
@@ -42,8 +42,6 @@ _TYPES: Mapping[Side, tuple[str, str]] = {
     "transmission": ("btdf", "specular_transmittance"),
 }
 _NEGLIGIBLE_SHARE = 1e-6
-_INCIDENCES = np.append(np.arange(0.0, 89.5), 89.9)
-"""Of mirrored shares [degree]."""
 
 
 def write(bsdf: xr.Dataset, path: Path, *, colour: str = "bw", binary: bool = False, **grid: Any) -> records.Record:
@@ -116,13 +114,13 @@ def _block(table: gridded.Gridded, kind: str, model: str, binary: bool) -> Itera
 def _single_directions(table: gridded.Gridded, kind: str, model: str, binary: bool) -> Iterator[bytes]:
     """The share of light in a single direction; nothing where there is none."""
     azimuths = table.axes.get("phi_i", np.zeros(1))
-    phi_i, theta_i = (angles.ravel() for angles in np.meshgrid(azimuths, _INCIDENCES, indexing="ij"))
+    phi_i, theta_i = (angles.ravel() for angles in np.meshgrid(azimuths, specular_shares.INCIDENCES, indexing="ij"))
     share = representation(table.channels.source).specular(theta_i, phi_i, table.channels.wavelength)[0]
     # A share of 1 is that of a perfect white diffuser, of which the BSDF is 1/π.
     share = np.asarray(table.channels.convert(share / np.pi)) * np.pi
     if share.max() <= _NEGLIGIBLE_SHARE:
         return
-    lists = {"PARAM0_LIST": _INCIDENCES, **({"PARAM1_LIST": azimuths} if azimuths.size > 1 else {})}
+    lists = {"PARAM0_LIST": specular_shares.INCIDENCES, **({"PARAM1_LIST": azimuths} if azimuths.size > 1 else {})}
     yield b"\n" + _head(table, kind, model, "", lists, binary)
     yield _data(np.maximum(share, 0.0).astype(np.float32), binary)
 
