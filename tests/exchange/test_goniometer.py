@@ -149,11 +149,11 @@ def test_a_file_whose_views_have_the_other_sign_is_refused(file, tmp_path):
 
 
 def test_a_table_of_many_angles_is_refused_before_it_is_made(tmp_path):
-    rows = "\n".join(f"{0.01 * k:g},{0.007 * j:g},1" for k in range(150) for j in range(150))
+    rows = "\n".join(f"{0.01 * k:g},{0.007 * j:g},1" for k in range(40) for j in range(40))
     (tmp_path / "many.csv").write_text("Incident_angle,Measure_angle,550nm\n" + rows)
-    # 150 incidences with 150 views each have few angles from the mirror direction in common.
+    # 40 incidences with 40 views each have few angles from the mirror direction in common.
     table = read(tmp_path / "many.csv")
-    assert table["theta_s"].size < 3000
+    assert table["theta_s"].size < 1600
     spread = "\n".join(f"{0.01 * k:g},{np.sqrt(2) * j + np.pi * k / 1e3:.9g},1" for k in range(800) for j in range(50))
     (tmp_path / "spread.csv").write_text("Incident_angle,Measure_angle,550nm\n" + spread)
     with pytest.raises(InputError, match="too large"):
