@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,7 @@ from brdfpipe.errors import InputError
 from brdfpipe.exchange import reading
 from brdfpipe.exchange.read_table import ReadTable, as_bsdf
 from brdfpipe.exchange.registry import ExchangeError, write
+from brdfpipe.exchange.text_lines import Lines
 from brdfpipe.spectra.colorimetry import delta_e_00
 
 THETA_I, THETA_S, PHI_S = np.array([0.0, 30.0, 80.0]), np.linspace(0, 150, 31), np.linspace(0, 180, 19)
@@ -92,6 +94,41 @@ def test_a_table_times_the_cosine_is_not_reciprocal_and_is_converted_on_request(
 
 def test_reflectance_factors_become_brdf():
     assert as_bsdf(table(np.pi, quantity="pi_brdf"), Path("x"))["brdf"].values == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize(("quantity", "scale"), [("brdf", 1.0), ("pi_brdf", 1 / np.pi)])
+def test_uncertainties_are_on_the_scale_of_the_values(quantity, scale):
+    read = table(0.2, quantity=quantity)
+    found = as_bsdf(replace(read, uncertainty=read.values / 10), Path("x"))
+    assert found["brdf_u"].values == pytest.approx(0.02 * scale)
+
+
+def test_light_on_both_sides_times_the_cosine_is_converted_on_both():
+    axes = {"theta_i": np.linspace(0, 80, 5), "theta_o": np.linspace(0, 180, 19), "phi_o": np.linspace(0, 180, 7)}
+    cosine = np.broadcast_to(np.abs(np.cos(np.radians(axes["theta_o"])))[None, :, None, None] / 10, (5, 19, 7, 1))
+    read = ReadTable("uniform", axes, cosine.copy(), quantity="brdf_cos", uncertainty=cosine / 10)
+    found = as_bsdf(read, Path("x")).sel(theta_o=[30.0, 80.0, 100.0, 150.0])
+    assert found["brdf"].values == pytest.approx(0.1)
+    assert found["brdf_u"].values == pytest.approx(0.01)
+
+
+def test_numbers_that_are_not_finite_are_refused():
+    read = table()
+    for angles, found in ((np.array([0.0, np.nan, 60.0]), "nan"), (np.array([0.0, 30.0, np.inf]), "inf")):
+        with pytest.raises(InputError, match=f"theta_i is not finite; found {found}"):
+            as_bsdf(replace(read, axes={**read.axes, "theta_i": angles}), Path("x"))
+    read.values[0, 0, 0] = np.inf
+    with pytest.raises(InputError, match="a value is infinite; found 1 of"):
+        as_bsdf(read, Path("x"))
+
+
+def test_a_number_of_a_line_is_finite(tmp_path):
+    (tmp_path / "x").write_text("reflectance nan\n")
+    lines = Lines(tmp_path / "x")
+    lines.next("a reflectance")
+    assert lines.number("0.5") == 0.5
+    with pytest.raises(InputError, match=r"line 1.*not finite"):
+        lines.number("nan")
 
 
 def test_white_in_rgb_is_the_white_of_the_light():

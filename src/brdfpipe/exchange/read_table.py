@@ -60,7 +60,7 @@ class ReadTable:
     quality: NDArray[np.int8] | None = None
     """(axes…) :func:`brdfpipe.vocabulary.quality` of values that the reader itself derived from others; by default all are of the file"""
     uncertainty: Array | None = None
-    """(axes…, channels) standard uncertainties of values of the BRDF, NaN where the file has none"""
+    """(axes…, channels) standard uncertainties of the values, of the same quantity; NaN where the file has none"""
     side: str = "reflection"
     """``transmission``: the light that passes, its polar angles counted from the normal of the other side"""
     notes: tuple[str, ...] = ()
@@ -84,9 +84,15 @@ def as_bsdf(read: ReadTable, path: Path) -> xr.Dataset:
 
     Raises
     ------
-    InputError : no cell has a value, or an axis does not increase.
+    InputError : no cell has a value, a value is infinite, or an axis does not increase.
     """
+    if (infinite := np.isinf(read.values)).any():
+        raise InputError(
+            path, "a value is infinite", found=f"{infinite.sum()} of {read.values.size}", accepted="numbers below 1e300"
+        )
     for name, axis in read.axes.items():
+        if not np.isfinite(axis).all():
+            raise InputError(path, f"an angle {name} is not finite", found=f"{axis[~np.isfinite(axis)][0]:g}")
         if axis.size > 1 and not (np.diff(axis) > 0).all():
             at = int(np.flatnonzero(np.diff(axis) <= 0)[0])
             raise InputError(path, f"the angles {name} do not increase", found=f"{axis[at + 1]:g} after {axis[at]:g}")
@@ -97,7 +103,7 @@ def as_bsdf(read: ReadTable, path: Path) -> xr.Dataset:
     if read.channels == "rgb":
         # Colours outside those of a screen have negative channels, not negative X, Y or Z.
         read = _with_tristimulus(read)
-    values, quality, warnings = _completed(_as_brdf(read), read, path)
+    values, quality, warnings = _completed(_as_brdf(read.values, read), read, path)
     read, values, quality = _with_two_nodes(read, values, quality)
     if read.relative:
         values, scaled = _on_declared_scale(read, values, path)
@@ -116,8 +122,8 @@ def as_bsdf(read: ReadTable, path: Path) -> xr.Dataset:
             table["spectrum_of_xyz"] = ("wavelength", "component"), spectra_of_tristimulus("D65", 2)
             table = table.assign_attrs(illuminant="D65", observer=2)
     table["brdf_quality"] = names, quality
-    if read.uncertainty is not None and read.quantity == "brdf":
-        u = read.uncertainty
+    if read.uncertainty is not None:
+        u = _as_brdf(read.uncertainty, read)
         for number, name in enumerate(names):
             u = np.repeat(u, read.axes[name].size // u.shape[number], axis=number)
         table["brdf_u"] = (table["brdf"].dims, u if read.channels == "spectral" else u[..., 0])
@@ -136,13 +142,14 @@ def _directions(read: ReadTable) -> Angles:
     return grid.directions(dict(zip(read.axes, np.meshgrid(*read.axes.values(), indexing="ij"), strict=True)))
 
 
-def _as_brdf(read: ReadTable) -> Array:
+def _as_brdf(values: Array, read: ReadTable) -> Array:
     if read.quantity == "pi_brdf":
-        return np.asarray(read.values / np.pi)
+        return np.asarray(values / np.pi)
     if read.quantity == "brdf_cos":
-        cosine = np.abs(np.cos(np.radians(np.minimum(_directions(read)[2], _HORIZON))))
-        return np.asarray(read.values / cosine[..., None])
-    return read.values
+        # On both sides of the surface.
+        cosine = np.maximum(np.abs(np.cos(np.radians(_directions(read)[2]))), np.cos(np.radians(_HORIZON)))
+        return np.asarray(values / cosine[..., None])
+    return values
 
 
 def _completed(values: Array, read: ReadTable, path: Path) -> tuple[Array, NDArray[np.int8], list[str]]:

@@ -79,9 +79,12 @@ class Lines:
     def number(self, word: str) -> float:
         """A number of the present line."""
         try:
-            return float(word)
+            value = float(word)
         except ValueError as error:
             raise self.error("not a number", found=repr(word)[:40], accepted="a number") from error
+        if not np.isfinite(value):
+            raise self.error("a number is not finite", found=f"{value:g}")
+        return value
 
     def count(self, word: str, most: int) -> int:
         """A number of values, from 1 to ``most``, of the present line."""
