@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import samples
+from loaded_by_radiance import load
 
 from brdfpipe import radiance
 from brdfpipe.exchange.registry import ExchangeError
@@ -38,7 +39,7 @@ def test_radiance_loads_the_file(tmp_path):
     module = pytest.importorskip("pyradiance.bsdf", reason="pyradiance is not there")
     grey = samples.beckmann_bsdf(0.3)
     radiance.material(grey, tmp_path, "grey")
-    loaded = module.load_file(str(tmp_path / "grey.tree.xml"))
+    loaded = load(module, tmp_path / "grey.tree.xml")
     total = module.direct_hemi(loaded, 30.0, 0.0, module.SAMPLE_ALL)
     assert total == pytest.approx(float(grey.bsdf.nonspectral().bsdf.albedo(30.0)), rel=0.01)
     assert np.isfinite(total)

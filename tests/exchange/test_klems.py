@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import samples
+from loaded_by_radiance import load
 
 from brdfpipe import facets
 from brdfpipe.bsdf import microfacet, slab
@@ -45,15 +46,6 @@ def sheet_file(tmp_path_factory):
     sheet = slab.build(rough, rough, index=1.5, internal_transmittance=0.9)
     write(sheet, path)
     return sheet, path
-
-
-LOADED: list[object] = []
-"""What Radiance has loaded: its library crashes when an object is freed"""
-
-
-def loaded_by(radiance, path: str):
-    LOADED.append(radiance.load_file(path))
-    return LOADED[-1]
 
 
 def matrices(path: Path) -> dict[str, np.ndarray]:
@@ -256,7 +248,7 @@ def test_real_blinds_have_the_values_and_the_light_that_radiance_reads(shared_da
 def test_radiance_and_the_table_agree_on_the_light_of_real_blinds(shared_data):
     radiance = pytest.importorskip("pyradiance.bsdf", reason="pyradiance is not there")
     path = shared_data / "bsdf" / "test_blinds_kf.xml"
-    loaded, back = loaded_by(radiance, str(path)), read(path)
+    loaded, back = load(radiance, path), read(path)
     for theta in (0.0, 10.0, 20.0, 40.0, 60.0, 70.0):
         for phi in (0.0, 90.0, 270.0):
             total = radiance.direct_hemi(loaded, theta, phi, radiance.SAMPLE_ALL)
@@ -267,7 +259,7 @@ def test_radiance_and_the_table_agree_on_the_light_of_real_blinds(shared_data):
 
 def test_radiance_reads_the_light_that_the_model_reflects_and_passes(grey, file, sheet_file):
     radiance = pytest.importorskip("pyradiance.bsdf", reason="pyradiance is not there")
-    loaded, plain = loaded_by(radiance, str(file)), grey.bsdf.nonspectral()
+    loaded, plain = load(radiance, file), grey.bsdf.nonspectral()
     for theta in (0.0, 30.0, 60.0):
         low, high, _ = next(ring for ring in RINGS if ring[0] <= theta < ring[1])
         angles = np.degrees(np.arcsin(np.sqrt(np.linspace(*np.sin(np.radians([low, high])) ** 2, 101))))
@@ -278,7 +270,7 @@ def test_radiance_reads_the_light_that_the_model_reflects_and_passes(grey, file,
     values = matrices(file)["Reflection Back"]
     assert radiance.query(loaded, 40.0, 60.0, 40.0, 225.0)[1] == pytest.approx(values[45 + 15, 45 + 16], rel=0.01)
     sheet, path = sheet_file
-    both = loaded_by(radiance, str(path))
+    both = load(radiance, path)
     plain = sheet.bsdf.nonspectral()
     total = float(plain.bsdf.albedo(40.0) + plain.bsdf.transmittance(40.0))
     assert radiance.direct_hemi(both, 40.0, 0.0, radiance.SAMPLE_ALL) == pytest.approx(total, rel=0.01)

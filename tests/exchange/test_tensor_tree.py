@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import samples
+from loaded_by_radiance import load
 
 from brdfpipe import facets
 from brdfpipe.bsdf import slab
@@ -21,13 +22,6 @@ from brdfpipe.exchange.reading import read
 from brdfpipe.exchange.registry import write
 
 SMALL = {"largest": 20_000}
-LOADED: list[object] = []
-"""What Radiance has loaded: its library crashes when an object is freed"""
-
-
-def loaded_by(radiance, path: str):
-    LOADED.append(radiance.load_file(path))
-    return LOADED[-1]
 
 
 @pytest.fixture(scope="module")
@@ -216,7 +210,7 @@ def test_mutated_files_are_read_or_refused_and_never_crash(tmp_path, count):
 def test_radiance_reads_the_light_that_the_model_reflects(grey, tmp_path):
     radiance = pytest.importorskip("pyradiance.bsdf", reason="pyradiance is not there")
     write(grey, tmp_path / "grey.tree.xml")
-    loaded, plain = loaded_by(radiance, str(tmp_path / "grey.tree.xml")), grey.bsdf.nonspectral()
+    loaded, plain = load(radiance, tmp_path / "grey.tree.xml"), grey.bsdf.nonspectral()
     for theta in (0.0, 30.0, 60.0):
         total = radiance.direct_hemi(loaded, theta, 20.0, radiance.SAMPLE_ALL)
         assert total == pytest.approx(float(plain.bsdf.albedo(theta)), rel=0.01)
@@ -231,12 +225,12 @@ def test_radiance_reads_a_lay_and_light_that_passes(tmp_path):
     rough = facets.analytic("beckmann", 0.3)
     sheet = slab.build(rough, rough, index=1.5, internal_transmittance=0.9)
     write(sheet, tmp_path / "sheet.tree.xml")
-    both, plain = loaded_by(radiance, str(tmp_path / "sheet.tree.xml")), sheet.bsdf.nonspectral()
+    both, plain = load(radiance, tmp_path / "sheet.tree.xml"), sheet.bsdf.nonspectral()
     total = float(plain.bsdf.albedo(30.0) + plain.bsdf.transmittance(30.0))
     assert radiance.direct_hemi(both, 30.0, 0.0, radiance.SAMPLE_ALL) == pytest.approx(total, rel=0.01)
     brushed = samples.brushed_bsdf(0.5, 0.3)
     write(brushed, tmp_path / "brushed.tree.xml", tolerance=0.1)
-    loaded, plain = loaded_by(radiance, str(tmp_path / "brushed.tree.xml")), brushed.bsdf.nonspectral()
+    loaded, plain = load(radiance, tmp_path / "brushed.tree.xml"), brushed.bsdf.nonspectral()
     for phi in (0.0, 90.0):
         expected = float(plain.bsdf.evaluate(25, phi, 10, phi + 30))
         assert radiance.query(loaded, 25.0, phi, 10.0, phi + 30)[1] == pytest.approx(expected, rel=0.25)
