@@ -9,7 +9,7 @@ import pytest
 import samples
 
 from brdfpipe.bsdf.table_error import Pairs
-from brdfpipe.exchange.fits.scatter import FORMULAS, distance, fit_formula
+from brdfpipe.exchange.fits.scatter import FORMULAS, distance, fit_formula, reflectance_of
 from brdfpipe.exchange.read_table import ReadTable, as_bsdf
 from brdfpipe.exchange.registry import ExchangeError
 
@@ -50,6 +50,19 @@ def test_its_own_parameters_are_found(name: str) -> None:
     expected = LOBES[name][0] / LOBES[name][1] if name == "abg" else LOBES[name][0]
     assert peak == pytest.approx(expected, rel=0.1)
     assert found.median < 0.02
+    assert found.relative_albedo < 0.05
+
+
+def test_the_reflectance_of_a_lobe_is_its_integral() -> None:
+    # Harvey at normal incidence in closed form: the rings about the normal end at the horizon, x = 1.
+    for width, slope in ((0.02, 3.0), (0.1, 2.5), (0.5, 1.5)):
+        expected = 2 * np.pi * width**2 / (slope - 2) * (1 - (1 + width**-2) ** (1 - slope / 2))
+        found = reflectance_of(FORMULAS["harvey"], (1.0, width, slope), np.zeros(1))
+        assert found == pytest.approx([expected], rel=0.01)
+    # The K-correlation of a lobe without width or slope is b0 cos θ_i cos θ_o, whose integral is 2π/3 b0 cos θ_i.
+    incidences = np.array([0.0, 40.0, 75.0])
+    found = reflectance_of(FORMULAS["k_correlation"], (1.0, 1e6, 1.0), incidences)
+    assert found == pytest.approx(2 * np.pi / 3 * np.cos(np.radians(incidences)), rel=0.01)
 
 
 def test_the_wrong_formula_has_a_larger_error() -> None:

@@ -29,6 +29,8 @@ WIDTHS = (1e-3, 1.0)
 """Least and largest width of a lobe [1]."""
 INDICES = (1.0, 2.5)
 """Least and largest index where it is fitted."""
+LEAST_REFLECTANCE = 1e-3
+"""Below which the error of a reflectance is relative to this [1]."""
 _STARTING_INDICES = (1.05, 1.3, 1.5, 1.8)
 _FITTED, _COMPARED = 5, 7
 """Seeds of the directions of the fit, and of those at which its error is stated."""
@@ -62,6 +64,8 @@ class Fit:
     percentile_95: float
     albedo: float
     """Largest difference of the directional reflectance [1]"""
+    relative_albedo: float
+    """Largest difference of the directional reflectance, relative to it [1]"""
     delta_e: float
     """Largest CIEDE2000 at :data:`COLOUR_GEOMETRIES`, D65 and 2 degree"""
     directions: int
@@ -194,13 +198,14 @@ def _with_error(bsdf: xr.Dataset, material: Material, index: float) -> Fit:
         return np.asarray(material.evaluate(theta_i, phi_i, theta_o, phi_o) @ luminous)[:, None]
 
     errors = errors_at(reduced, evaluate, pairs)
-    albedo = np.abs((material.albedo(INCIDENCES) - reflectance) @ luminous).max()
+    off = np.abs((material.albedo(INCIDENCES) - reflectance) @ luminous)
     return Fit(
         material,
         index,
         float(np.median(errors)),
         float(np.quantile(errors, 0.95)),
-        float(albedo),
+        float(off.max()),
+        float((off / np.maximum(reflectance @ luminous, LEAST_REFLECTANCE)).max()),
         _delta_e(bsdf, material),
         errors.size,
     )

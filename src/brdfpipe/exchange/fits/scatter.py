@@ -15,6 +15,7 @@ from scipy.optimize import least_squares
 from brdfpipe.bsdf.nonspectral import nonspectral
 from brdfpipe.bsdf.registry import representation
 from brdfpipe.bsdf.table_error import Pairs, errors_at, fresh_pairs
+from brdfpipe.exchange.fits.fitting import INCIDENCES, LEAST_REFLECTANCE
 from brdfpipe.exchange.registry import ExchangeError
 from brdfpipe.geometry import Array
 
@@ -76,6 +77,8 @@ class ScatterFit:
     median: float
     """See :class:`brdfpipe.exchange.fits.fitting.Fit`"""
     percentile_95: float
+    relative_albedo: float
+    """Largest error of the directional reflectance at :data:`brdfpipe.exchange.fits.fitting.INCIDENCES`, relative to it [1]"""
     directions: int
 
 
@@ -131,8 +134,32 @@ def fit_formula(bsdf: xr.Dataset, name: str) -> ScatterFit:
         return np.asarray(formula.lobe(distance(at), *cosines, (lobe[0], lobe[1], lobe[2])) + base / np.pi)[:, None]
 
     errors = errors_at(reduced, evaluate, _above(fresh_pairs(reduced, _COMPARED)))
-    named = dict(zip((*formula.names, "L"), (*lobe, base), strict=True))
-    return ScatterFit(named, float(np.median(errors)), float(np.quantile(errors, 0.95)), errors.size)
+    model, normal = representation(reduced), np.zeros_like(INCIDENCES)
+    scattered = (model.albedo(INCIDENCES, normal, None) - model.specular(INCIDENCES, normal, None)[0])[:, 0]
+    off = np.abs(reflectance_of(formula, (lobe[0], lobe[1], lobe[2]), INCIDENCES) + base - scattered)
+    return ScatterFit(
+        dict(zip((*formula.names, "L"), (*lobe, base), strict=True)),
+        float(np.median(errors)),
+        float(np.quantile(errors, 0.95)),
+        float((off / np.maximum(scattered, LEAST_REFLECTANCE)).max()),
+        errors.size,
+    )
+
+
+def reflectance_of(formula: Formula, parameters: tuple[float, float, float], theta_i: Array) -> Array:
+    """Directional reflectance of the lobe of a formula at incidences in degree, shape of ``theta_i``.
+
+    The integral of the BRDF over the projected solid angle, which is the area of direction cosines: rings about the mirror direction, cut at the horizon.
+    """
+    x = np.geomspace(1e-6, 2.0, 1000)[:, None]
+    azimuth = np.radians(np.arange(0.5, 180))
+    reflectance = []
+    for incidence in np.radians(theta_i):
+        squared = np.sin(incidence) ** 2 + 2 * x * np.sin(incidence) * np.cos(azimuth) + x**2
+        cos_o = np.sqrt(np.maximum(1 - squared, 0.0))
+        brdf = formula.lobe(x, np.cos(incidence), cos_o, parameters) * (squared < 1)
+        reflectance.append(np.trapezoid(2 * np.pi * brdf.mean(axis=1) * x[:, 0] ** 2, np.log(x[:, 0])))
+    return np.asarray(reflectance)
 
 
 def _above(pairs: Pairs) -> Pairs:
