@@ -136,7 +136,10 @@ def changed_head(content: bytes, *head: int) -> bytes:
 @pytest.mark.parametrize(
     ("damage", "message"),
     [
-        (lambda content: content[1:], "not an MBSDF file"),
+        (
+            lambda content: content[1:],
+            "not an MBSDF file; found 'VIDIA ARC MBSDF V1.*; accepted: a first line 'NVIDIA ARC MBSDF V1'",
+        ),
         (lambda content: content.replace(b"REFLECTION=", b"REFLECTIVE="), "no block of reflected light"),
         (lambda content: content.replace(b"DATA_REFLECTION=", b"DATA_TRANSMISSION="), "transmitted light alone"),
         (lambda content: changed_head(content, 7, 4, 4), "unknown type"),

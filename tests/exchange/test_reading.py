@@ -186,11 +186,12 @@ def test_a_table_without_values_or_with_unsorted_angles_is_refused():
         ("x.unknown", None, None, "no format has such files"),
         ("x.bsdf", None, "radiance", "unknown quantity"),
         ("missing.bsdf", None, None, "no such file"),
+        ("empty.bsdf", None, None, "the file is empty"),
     ],
 )
 def test_what_cannot_be_read_is_refused_with_the_key_to_set(tmp_path, name, format, quantity, message):
     if name != "missing.bsdf":
-        (tmp_path / name).write_text("Source Measured\n")
+        (tmp_path / name).write_text("" if name == "empty.bsdf" else "Source Measured\n")
     with pytest.raises(InputError, match=message) as refusal:
         reading.read(tmp_path / name, format, quantity=quantity)
     assert "`table." in str(refusal.value)

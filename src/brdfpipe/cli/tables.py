@@ -53,12 +53,13 @@ def convert(
     """
     from brdfpipe.exchange import conversion
 
-    bsdf = conversion.open_bsdf(source, read_as, quantity)
-    for warning in json.loads(bsdf.attrs.get("warnings", "[]")):
-        click.echo(f"{source.name}: {printable(warning)}", err=True)
     given = {"tolerance": tolerance, "largest": largest}
     options = {name: value for name, value in given.items() if value is not None} | dict(map(_option, further))
-    conversion.convert(bsdf, target, format, wavelengths=_numbers(wavelengths), inputs={source.name: source}, **options)
+    wanted = _numbers(wavelengths)
+    bsdf = conversion.open_bsdf(source, read_as, quantity)
+    for warning in json.loads(bsdf.attrs.get("warnings", "[]")):
+        click.echo(f"{source.name}: warning: {printable(warning)}", err=True)
+    conversion.convert(bsdf, target, format, wavelengths=wanted, inputs={source.name: source}, **options)
     click.echo(f"{target}: {target.stat().st_size / 1e6:.2f} MB")
     beside = Path(f"{target}{RECORD}")
     if beside.is_file():

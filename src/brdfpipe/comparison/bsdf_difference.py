@@ -96,7 +96,7 @@ def _colour(first: xr.Dataset, second: xr.Dataset) -> float:
 def as_text(found: Difference) -> str:
     """The differences as a table for a terminal."""
     lines = [
-        f"{found.directions} pairs of directions: median {found.median:.2%}, 95th percentile {found.percentile_95:.2%} of BRDF·cos θ_o",
+        f"{found.directions} pairs of directions: median {found.median:.2%}, 95th percentile {found.percentile_95:.2%} of BRDF·cos θ_o (difference over the mean of both; 200% where one has no light)",
         "",
         "difference of the BRDF (median, second minus first) by incidence and angle from the mirror direction",
         "".join(f"{text:>11}" for text in ("", *(f"{a:g}-{b:g}°" for a, b in pairwise(MIRROR_EDGES)))),

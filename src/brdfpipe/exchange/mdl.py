@@ -131,7 +131,12 @@ def read(path: Path) -> ReadTable:
     """
     content = path.read_bytes()
     if not content.startswith(_MAGIC):
-        raise InputError(path, "not an MBSDF file", found=repr(content[:20])[:40], accepted=repr(_MAGIC))
+        raise InputError(
+            path,
+            "not an MBSDF file",
+            found=repr(content[: len(_MAGIC)])[1:],
+            accepted=f"a first line {_MAGIC.decode().strip()!r}",
+        )
     starts = [(at, name) for name in _REFLECTED if (at := content.find(b"\n" + name, 0, _LONGEST_HEADER)) >= 0]
     if not starts:
         held = "transmitted light alone" if b"\n" + _TRANSMISSION in content[:_LONGEST_HEADER] else "none"

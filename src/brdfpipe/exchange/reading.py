@@ -40,6 +40,8 @@ def read(path: str | os.PathLike[str], format: str | None = None, *, quantity: s
         )
     if not path.is_file():
         raise InputError(path, "no such file", accepted="a file of a BSDF", key="table.file")
+    if not path.stat().st_size:
+        raise InputError(path, "the file is empty", accepted="a file of a BSDF", key="table.file")
     declared = format_of(path, format)
     found = declared.function(declared.read)(path)
     bsdf = as_bsdf(found if quantity is None else replace(found, quantity=quantity), path)

@@ -184,7 +184,8 @@ def writer_of(path: str | os.PathLike[str], format: str | None = None) -> tuple[
         raise ExchangeError(f"{name}: several formats have this suffix; give `format`, one of {formats}")
     if not longest and format is None:
         suffix = Path(path).suffix.removeprefix(".")
-        raise ExchangeError(f"{name}: unknown format {suffix!r}; accepted: {', '.join(WRITTEN)}")
+        accepted = ", ".join(f"{declared} ({end})" for (declared, _), end in writers.items())
+        raise ExchangeError(f"{name}: unknown format {suffix!r}; accepted: {accepted}")
     declared, writer = longest.pop() if longest else next(iter(writers))
     return FORMATS[declared], writer
 

@@ -53,7 +53,7 @@ def exports_table(datasets: Mapping[str, xr.Dataset], name: str, formats: Collec
     ]
     if "lambert_gauss" in datasets:
         rows.append((f"{name}.lambert_gauss.csv", "reflection", "parameters of the Lambert + Gauss fit", ""))
-    note = "In the folder `exports`. A `.json` beside a file states the error of the file at directions off its nodes, and its own reflectance."
+    note = "In the folder `exports`. A `.json` beside a file states the error of the file against the BSDF."
     return Table("Exported files", ("Files", "Side", "Description", "Not in the file"), rows, note) if rows else None
 
 
