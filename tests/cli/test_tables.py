@@ -50,8 +50,34 @@ def test_wavelengths_and_options_of_the_format(saved: Path, tmp_path: Path) -> N
         found = run("convert", saved, tmp_path / "c.ddr", *words)
         assert found.exit_code == 2
         assert words[0] in found.output
-    found = run("convert", saved, tmp_path / "c.ddr", "--option", "hue=1")
-    assert "unknown option 'hue'" in found.output
+
+
+@pytest.mark.parametrize(
+    ("option", "words"),
+    [
+        ("hue=1", "unknown option 'hue'; accepted: albedo_tolerance"),
+        # Names of what the command itself gives to the conversion.
+        ("path=elsewhere.ddr", "unknown option 'path'"),
+        ("wavelengths=1", "unknown option 'wavelengths'"),
+        ("views=10", "integra: unknown option 'views'"),
+        ("largest=many", "largest is 'many'; accepted: a number"),
+        ("tolerance=true", "tolerance is True; accepted: a number"),
+        ("tolerance=NaN", "tolerance is nan; accepted: a number"),
+    ],
+)
+def test_options_that_the_format_does_not_take_are_one_error(
+    saved: Path, tmp_path: Path, option: str, words: str
+) -> None:
+    found = run("convert", saved, tmp_path / "c.ddr", "--option", option)
+    assert found.exit_code == 2
+    assert words in found.output
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_word_is_no_truth_value(saved: Path, tmp_path: Path) -> None:
+    found = run("convert", saved, tmp_path / "c.zemax.bsdf", "--option", "colour=no")
+    assert found.exit_code == 2
+    assert "colour is 'no'; accepted: true or false" in found.output
 
 
 def test_compare_finds_the_stated_error(saved: Path, tmp_path: Path) -> None:

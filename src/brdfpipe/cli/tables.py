@@ -13,6 +13,7 @@ from brdfpipe.exchange.registry import FORMATS, GRID_OPTIONS, QUANTITIES, RECORD
 
 _READ = click.Choice([name for name, known in FORMATS.items() if known.read])
 _QUANTITY = click.Choice(QUANTITIES)
+_OPTIONS = sorted({*GRID_OPTIONS, *(name for known in FORMATS.values() for name in known.options)})
 
 
 @click.command(short_help="Write the BSDF of file IN as file OUT.")
@@ -88,6 +89,10 @@ def _option(text: str) -> tuple[str, object]:
     name, equals, value = text.partition("=")
     if not equals or not name.isidentifier():
         raise click.BadParameter(f"{printable(text)[:60]!r}; accepted: NAME=VALUE", param_hint="--option")
+    if name not in _OPTIONS:
+        raise click.BadParameter(
+            f"unknown option {name[:40]!r}; accepted: {', '.join(_OPTIONS)}", param_hint="--option"
+        )
     try:
         return name, json.loads(value)
     except ValueError:

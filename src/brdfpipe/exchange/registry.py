@@ -20,6 +20,7 @@ import json
 import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from numbers import Real
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -46,6 +47,13 @@ QUANTITIES = ("brdf", "brdf_cos", "pi_brdf")
 GRID_OPTIONS: Mapping[str, Any] = {"tolerance": 0.01, "albedo_tolerance": 0.001, "largest": 400_000}
 """Options of all formats on a grid of directions: limits of the error at the 95th percentile of directions, relative to BRDF·cos θ_o, and of
 the directional reflectance [1]; and the largest number of values of one channel, about 4 MB of text."""
+
+_OPTION_KINDS: Mapping[type, tuple[type, str]] = {
+    bool: (bool, "true or false"),
+    int: (Real, "a number"),
+    float: (Real, "a number"),
+}
+"""Type of an option's default → what the option takes, and this in words."""
 
 RECORD = ".json"
 """Suffix of the record beside a file."""
@@ -144,6 +152,10 @@ class Format:
         if unknown := sorted(set(given) - set(options)):
             accepted = ", ".join(sorted(options)) or "no option"
             raise ExchangeError(f"{self.name}: unknown option {unknown[0]!r}; accepted: {accepted}")
+        for name, value in given.items():
+            kind, words = _OPTION_KINDS.get(type(options[name]), (object, ""))
+            if not isinstance(value, kind) or (kind is Real and (isinstance(value, bool) or value != value)):
+                raise ExchangeError(f"{self.name}: {name} is {repr(value)[:40]}; accepted: {words}")
         return {**options, **given}
 
 
