@@ -12,7 +12,7 @@ import pytest
 import samples
 import xarray as xr
 
-from brdfpipe import facets, flakes, psd
+from brdfpipe import facets, flakes, optics, psd
 from brdfpipe.bsdf import flake, microfacet, slab, wave
 from brdfpipe.bsdf.lambert_gauss import lambertian
 from brdfpipe.bsdf.registry import representation
@@ -41,7 +41,8 @@ KINDS: dict[str, Callable[[], xr.Dataset]] = {
     "flakes": lambda: flake.build(flakes.ingest({"colours": _COLOURS, "illuminant": "D65", "observer": 10})),
     "diffuser": lambda: lambertian(samples.spectrum(0.5)),
     "black": lambda: lambertian(samples.spectrum(0.0)),
-    "metal": lambda: samples.beckmann_bsdf(0.3, n=1.5, reflectance=None),
+    "gloss alone": lambda: samples.beckmann_bsdf(0.3, n=1.5, reflectance=None),
+    "metal": lambda: microfacet.build(facets.analytic("ggx", 0.4), index=optics.refractive_index({"n": 0.4, "k": 2.8})),
 }
 
 

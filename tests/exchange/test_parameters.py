@@ -9,6 +9,9 @@ import numpy as np
 import pytest
 import samples
 
+from brdfpipe import facets, optics
+from brdfpipe.bsdf import microfacet
+from brdfpipe.exchange.read_table import ReadTable, as_bsdf
 from brdfpipe.exchange.registry import ExchangeError, write
 
 
@@ -23,6 +26,23 @@ def test_every_formula_is_listed_with_its_error(tmp_path: Path) -> None:
         assert one["error"]["directions"] > 1000
         assert ("refused" in one) != ("parameters" in one)
     assert "spectrum" in document["left_out"]
+
+
+@pytest.mark.parametrize("suffix", [".parameters.json", ".mtlx", ".gltf"])
+def test_light_that_only_passes_is_not_fitted_as_a_black_surface(suffix: str, tmp_path: Path) -> None:
+    axes = {"theta_i": np.linspace(0, 80, 5), "theta_o": np.linspace(0, 90, 10), "phi_o": np.linspace(0, 180, 7)}
+    passing = as_bsdf(ReadTable("uniform", axes, np.full((5, 10, 7, 1), 0.1), side="transmission"), Path("x"))
+    with pytest.raises(ExchangeError, match="scatters no light back"):
+        write(passing, tmp_path / f"x{suffix}")
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_smooth_metal_has_no_scattered_light_for_a_formula(tmp_path: Path) -> None:
+    gold = microfacet.build(
+        facets.flat(), index=optics.refractive_index({"n": 0.4, "k": 2.8}), multiple_scattering="none"
+    )
+    with pytest.raises(ExchangeError, match="scatters no light back"):
+        write(gold, tmp_path / "x.parameters.json")
 
 
 def test_a_formula_beyond_the_limit_has_no_parameters(tmp_path: Path) -> None:

@@ -38,7 +38,7 @@ def write(bsdf: xr.Dataset, path: Path, *, largest_error: float, largest_delta_e
 
     Raises
     ------
-    ExchangeError : the fit is beyond a limit, or the surface has a lay.
+    ExchangeError : the fit is beyond a limit, the surface has a lay, or no light is reflected.
     """
     found = fitted(
         bsdf, "glTF", by_fresnel, exact_fresnel=False, largest_error=largest_error, largest_delta_e=largest_delta_e

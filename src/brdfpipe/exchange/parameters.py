@@ -40,7 +40,7 @@ def write(bsdf: xr.Dataset, path: Path, *, largest_error: float) -> None:
 
     Raises
     ------
-    ExchangeError : every formula is refused, or the surface has a lay.
+    ExchangeError : every formula is refused, the surface has a lay, or no light is scattered back.
     """
     if not largest_error > 0:
         raise ExchangeError(f"largest_error is {largest_error!r}; accepted: above 0")

@@ -12,7 +12,7 @@ from scipy.optimize import minimize
 from brdfpipe.appearance import colours
 from brdfpipe.bsdf.nonspectral import nonspectral
 from brdfpipe.bsdf.registry import representation
-from brdfpipe.bsdf.table_error import errors_at, fresh_pairs
+from brdfpipe.bsdf.table_error import Pairs, errors_at, fresh_pairs
 from brdfpipe.exchange.fits.forms import Lobe, Material, base_share
 from brdfpipe.exchange.gridded import linear_rgb
 from brdfpipe.exchange.registry import ExchangeError
@@ -86,7 +86,7 @@ def fit(bsdf: xr.Dataset, form: Form) -> Fit:
 
     Raises
     ------
-    ExchangeError : the surface has a lay.
+    ExchangeError : the surface has a lay, or no light is reflected.
 
     Notes
     -----
@@ -94,15 +94,12 @@ def fit(bsdf: xr.Dataset, form: Form) -> Fit:
     light goes: of the simple metrics it follows perceived differences best (Fores, Ferwerda & Gu 2012). The base follows from the
     directional reflectances at :data:`INCIDENCES`, by least squares, within 0 and 1.
     """
-    if not representation(bsdf).isotropic:
-        raise ExchangeError("a surface with a lay has no such parameters: use the format of a table")
-    reduced, luminous = nonspectral(bsdf), luminance_of_rgb()
-    if is_smooth(bsdf):
+    luminous = luminance_of_rgb()
+    if is_smooth(bsdf) and representation(bsdf).isotropic:
         return _on_smooth_face(bsdf, form)
-    pairs = fresh_pairs(reduced, _FITTED)
-    pairs = pairs.chosen(pairs.theta_o < 90)
+    pairs, values = reflected_light(bsdf)
     cosine = np.cos(np.radians(pairs.theta_o))
-    wanted = np.cbrt(representation(reduced).evaluate(*pairs, None)[:, 0] * cosine)
+    wanted = np.cbrt(values * cosine)
     reflectance = _reflectance(bsdf)
 
     def material(log_width: float, index: float) -> Material:
@@ -152,6 +149,24 @@ def checked(found: Fit, largest_error: float, largest_delta_e: float, form: str)
                 f"use the format of a table, or raise `{name}`"
             )
     return found
+
+
+def reflected_light(bsdf: xr.Dataset) -> tuple[Pairs, Array]:
+    """Pairs of directions above the surface for a fit, and the BRDF there, weighted with V(λ) and D65 [sr-1].
+
+    Raises ExchangeError: the surface has a lay, or no direction has light.
+    """
+    if not representation(bsdf).isotropic:
+        raise ExchangeError("a surface with a lay has no such parameters: use the format of a table")
+    reduced = nonspectral(bsdf)
+    pairs = fresh_pairs(reduced, _FITTED)
+    pairs = pairs.chosen(pairs.theta_o < 90)
+    values = representation(reduced).evaluate(*pairs, None)[:, 0]
+    if not values.any():
+        raise ExchangeError(
+            "the BSDF scatters no light back, so that there is nothing to fit: use the format of a table"
+        )
+    return pairs, values
 
 
 def is_smooth(bsdf: xr.Dataset) -> bool:

@@ -82,7 +82,7 @@ def fitted(
 
     Raises
     ------
-    ExchangeError : the fit is beyond a limit, or the surface has a lay.
+    ExchangeError : the fit is beyond a limit, the surface has a lay, or no light is reflected.
     """
     n, k = index_of(bsdf)
     if k > _METAL_EXTINCTION:

@@ -15,12 +15,11 @@ from scipy.optimize import least_squares
 from brdfpipe.bsdf.nonspectral import nonspectral
 from brdfpipe.bsdf.registry import representation
 from brdfpipe.bsdf.table_error import Pairs, errors_at, fresh_pairs
-from brdfpipe.exchange.fits.fitting import INCIDENCES, LEAST_REFLECTANCE
-from brdfpipe.exchange.registry import ExchangeError
+from brdfpipe.exchange.fits.fitting import INCIDENCES, LEAST_REFLECTANCE, reflected_light
 from brdfpipe.geometry import Array
 
-_FITTED, _COMPARED = 5, 7
-"""Seeds of the directions of the fit, and of those at which its error is stated."""
+_COMPARED = 7
+"""Seed of the directions at which the error of a fit is stated."""
 _STARTING_WIDTHS = (0.01, 0.03, 0.1, 0.3)
 
 
@@ -99,18 +98,15 @@ def fit_formula(bsdf: xr.Dataset, name: str) -> ScatterFit:
 
     Raises
     ------
-    ExchangeError : the surface has a lay.
+    ExchangeError : the surface has a lay, or no light is scattered back.
 
     Notes
     -----
     Least squares of the cube roots of BRDF·cos θ_o, as :func:`brdfpipe.exchange.fits.fitting.fit`; from several starting widths.
     """
-    if not representation(bsdf).isotropic:
-        raise ExchangeError("a surface with a lay has no such parameters: use the format of a table")
-    formula, reduced = FORMULAS[name], nonspectral(bsdf)
-    pairs = _above(fresh_pairs(reduced, _FITTED))
+    formula = FORMULAS[name]
+    pairs, values = reflected_light(bsdf)
     x, cos_i, cos_o = distance(pairs), np.cos(np.radians(pairs.theta_i)), np.cos(np.radians(pairs.theta_o))
-    values = representation(reduced).evaluate(*pairs, None)[:, 0]
     wanted = np.cbrt(values * cos_o)
 
     def residual(logs: Array) -> Array:
@@ -133,7 +129,9 @@ def fit_formula(bsdf: xr.Dataset, name: str) -> ScatterFit:
         cosines = np.cos(np.radians(theta_i)), np.cos(np.radians(theta_o))
         return np.asarray(formula.lobe(distance(at), *cosines, (lobe[0], lobe[1], lobe[2])) + base / np.pi)[:, None]
 
-    errors = errors_at(reduced, evaluate, _above(fresh_pairs(reduced, _COMPARED)))
+    reduced = nonspectral(bsdf)
+    fresh = fresh_pairs(reduced, _COMPARED)
+    errors = errors_at(reduced, evaluate, fresh.chosen(fresh.theta_o < 90))
     model, normal = representation(reduced), np.zeros_like(INCIDENCES)
     scattered = (model.albedo(INCIDENCES, normal, None) - model.specular(INCIDENCES, normal, None)[0])[:, 0]
     off = np.abs(reflectance_of(formula, (lobe[0], lobe[1], lobe[2]), INCIDENCES) + base - scattered)
@@ -160,7 +158,3 @@ def reflectance_of(formula: Formula, parameters: tuple[float, float, float], the
         brdf = formula.lobe(x, np.cos(incidence), cos_o, parameters) * (squared < 1)
         reflectance.append(np.trapezoid(2 * np.pi * brdf.mean(axis=1) * x[:, 0] ** 2, np.log(x[:, 0])))
     return np.asarray(reflectance)
-
-
-def _above(pairs: Pairs) -> Pairs:
-    return pairs.chosen(pairs.theta_o < 90)
