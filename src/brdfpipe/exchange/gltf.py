@@ -41,7 +41,13 @@ def write(bsdf: xr.Dataset, path: Path, *, largest_error: float, largest_delta_e
     ExchangeError : the fit is beyond a limit, the surface has a lay, or no light is reflected.
     """
     found = fitted(
-        bsdf, "glTF", by_fresnel, exact_fresnel=False, largest_error=largest_error, largest_delta_e=largest_delta_e
+        bsdf,
+        "glTF",
+        by_fresnel,
+        exact_fresnel=False,
+        compensated=False,
+        largest_error=largest_error,
+        largest_delta_e=largest_delta_e,
     )
     record = found.record(FORMAT, "glTF 2.0")
     material = {

@@ -1,7 +1,7 @@
 """OpenPBR in MaterialX (``.mtlx``): the parameters that come nearest to a BSDF, for Blender, USD and the renderers that read no tables.
 
 A dielectric is a GGX lobe with Fresnel's reflectance over a Lambertian base, whose light is reduced by the lobe's reflectance from the direction
-of view, as MaterialX layers them; a metal is a lobe with Schlick's curve.
+of view, as MaterialX layers them; a metal is a lobe with Schlick's curve. To either MaterialX adds light that facets reflect more than once.
 """
 
 from __future__ import annotations
@@ -41,7 +41,13 @@ def write(bsdf: xr.Dataset, path: Path, *, largest_error: float, largest_delta_e
     ExchangeError : the fit is beyond a limit, the surface has a lay, or no light is reflected.
     """
     found = fitted(
-        bsdf, "OpenPBR", by_albedo, exact_fresnel=True, largest_error=largest_error, largest_delta_e=largest_delta_e
+        bsdf,
+        "OpenPBR",
+        by_albedo,
+        exact_fresnel=True,
+        compensated=True,
+        largest_error=largest_error,
+        largest_delta_e=largest_delta_e,
     )
     record = found.record(FORMAT, "OpenPBR")
     store.write_text(path, _document(found, record))

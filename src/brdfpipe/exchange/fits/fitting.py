@@ -47,9 +47,11 @@ class Form:
     """See :class:`brdfpipe.exchange.fits.forms.Material`"""
     index: float | None
     """None: it is fitted, within :data:`INDICES`"""
+    compensated: bool = False
+    """See :attr:`brdfpipe.exchange.fits.forms.Lobe.compensated`"""
 
     def lobe(self, width: float, index: float) -> Lobe:
-        return Lobe(self.distribution, width, self.fresnel_of(index))
+        return Lobe(self.distribution, width, self.fresnel_of(index), self.compensated)
 
 
 @dataclass(frozen=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -12,13 +13,14 @@ from brdfpipe.optics.fresnel_equations import fresnel
 
 _SAMPLES = 32
 """Gauss–Legendre nodes of the distribution of facets, and of half a turn about the normal."""
+_KEPT_LOBES = 16
 _STORED_ALBEDOS = 48
 _BASE_RULE = 24
 
 
 @dataclass(frozen=True)
 class Lobe:
-    """Reflection by facets, as a renderer evaluates it: D·F·G/(4 cos θ_i cos θ_o) with height-correlated masking, light reflected once."""
+    """Reflection by facets, as a renderer evaluates it: D·F·G/(4 cos θ_i cos θ_o) with height-correlated masking."""
 
     distribution: str
     """``ggx`` or ``beckmann``"""
@@ -26,6 +28,9 @@ class Lobe:
     """Width: √2 times the slope rms of one axis, of Beckmann's distribution [1]"""
     fresnel: Callable[[Array], Array]
     """Cosine of the incidence on a facet → reflectance, (…, channels)"""
+    compensated: bool = False
+    """Whether light that facets reflect more than once is added, as 1 + F·(1 − E)/E with E the reflectance of white facets from the direction of
+    view (Turquin 2019, eq. 14 and 16, as in MaterialX); false: light that is reflected once"""
 
     def evaluate(self, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array) -> Array:
         """BRDF (directions, channels) [sr-1] of directions above the surface [degree]."""
@@ -33,7 +38,7 @@ class Lobe:
         shape = (
             self._density(half.slope_squared) * self._masking(half.cos_i, half.cos_o) / (4 * half.cos_i * half.cos_o)
         )
-        return np.asarray(shape[..., None] * self.fresnel(half.cos_zeta))
+        return np.asarray(shape[..., None] * self._reflected(half.cos_zeta, half.cos_o))
 
     def albedo(self, theta_i: Array) -> Array:
         """Directional reflectance (incidences, channels), by an integral over the facets."""
@@ -48,8 +53,16 @@ class Lobe:
         cos_o = 2 * on_facet * cos_h - cos_i
         lit = (on_facet > 0) & (cos_o > 0)
         masked = np.where(lit, self._masking(cos_i, np.where(lit, cos_o, 1.0)) * on_facet / (cos_i * cos_h), 0.0)
-        reflected = masked[..., None] * self.fresnel(np.clip(on_facet, 0, 1))
+        reflected = masked[..., None] * self._reflected(np.clip(on_facet, 0, 1), np.clip(cos_o, 0, 1))
         return np.asarray(np.einsum("iuac,u,a->ic", reflected, weights / 2, weights / 2))
+
+    def _reflected(self, on_facet: Array, cos_o: Array) -> Array:
+        """Reflectance of a facet, and of those that its light meets, (…, channels)."""
+        once = self.fresnel(on_facet)
+        if not self.compensated:
+            return once
+        cosines, lost = _lost(self.distribution, self.alpha)
+        return np.asarray(once * (1 + once * np.interp(cos_o, cosines, lost)[..., None]))
 
     def _density(self, slope_squared: Array) -> Array:
         """Facets by solid angle of their normals [sr-1]."""
@@ -70,6 +83,14 @@ class Lobe:
 
         ratio = 1 / np.maximum(self.alpha * tangent, 1e-12)
         return np.asarray((erf(ratio) - 1) / 2 + np.exp(-(ratio**2)) / (2 * ratio * np.sqrt(np.pi)))
+
+
+@lru_cache(maxsize=_KEPT_LOBES)
+def _lost(distribution: str, alpha: float) -> tuple[Array, Array]:
+    """Increasing cosines, and what white facets reflect more than once over what they reflect once (1 − E)/E."""
+    angles = np.linspace(89.9, 0.0, _STORED_ALBEDOS)
+    once = Lobe(distribution, alpha, lambda cosine: np.ones((*cosine.shape, 1))).albedo(angles)[:, 0]
+    return np.cos(np.radians(angles)), np.maximum(1 / once - 1, 0.0)
 
 
 @dataclass(frozen=True)

@@ -67,6 +67,7 @@ def fitted(
     under_lobe: Callable[[Lobe, Array, Array, Array, Array], Array],
     *,
     exact_fresnel: bool,
+    compensated: bool,
     largest_error: float,
     largest_delta_e: float,
 ) -> Fitted:
@@ -78,6 +79,7 @@ def fitted(
     form : name of the shading model, for messages
     under_lobe : see :class:`brdfpipe.exchange.fits.forms.Material`
     exact_fresnel : Fresnel's equations for a dielectric; false: Schlick's approximation
+    compensated : see :attr:`brdfpipe.exchange.fits.forms.Lobe.compensated`
     largest_error, largest_delta_e : limits of the median error and of CIEDE2000
 
     Raises
@@ -87,9 +89,9 @@ def fitted(
     n, k = index_of(bsdf)
     if k > _METAL_EXTINCTION:
         normal = _reflectance_of_metal(bsdf)
-        found = fit(bsdf, Form("ggx", lambda _: schlick(normal), nothing, n))
+        found = fit(bsdf, Form("ggx", lambda _: schlick(normal), nothing, n, compensated))
         return Fitted(bsdf, checked(found, largest_error, largest_delta_e, form), normal, is_metal=True)
-    found = fit(bsdf, Form("ggx", dielectric if exact_fresnel else _schlick_of_index, under_lobe, n))
+    found = fit(bsdf, Form("ggx", dielectric if exact_fresnel else _schlick_of_index, under_lobe, n, compensated))
     checked(found, largest_error, largest_delta_e, form)
     return Fitted(bsdf, found, found.material.base, is_metal=False)
 
