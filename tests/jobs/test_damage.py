@@ -42,6 +42,7 @@ TEMPLATES = {
     "t-traced": f"{SCAN}}}\nindex: 1.5\n{COLOUR}model: {{truth: use}}\n",
     "t-planned": f"{SCAN}}}\nindex: 1.5\n{COLOUR}scene: gloss-sheet\n",
     "t-colour": f"{COLOUR}scene: gloss-sheet\n",
+    "t-grid": f"{COLOUR}scene: luminaire-raytrace\n",
 }
 """Descriptions of which each stage has a job in one. The damaged materials are copies."""
 
