@@ -139,6 +139,9 @@ spectrum:
   illuminant: D65
   observer: 10
   geometry: sci
+
+# Files for other programs.
+exports: [astm]
 """,
     )
 

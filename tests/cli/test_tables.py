@@ -101,3 +101,17 @@ def test_a_file_that_is_no_bsdf_is_one_error(tmp_path: Path) -> None:
     assert "Traceback" not in found.output
     assert "a.bsdf" in found.output
     assert not (tmp_path / "b.nc").exists()
+
+
+def test_a_file_is_never_replaced_by_its_own_conversion(saved: Path) -> None:
+    before = saved.read_bytes()
+    found = run("convert", saved, saved)
+    assert found.exit_code == 2
+    assert "is the file that is read" in found.output
+    assert saved.read_bytes() == before
+
+
+def test_a_file_that_is_only_written_says_so(saved: Path, tmp_path: Path) -> None:
+    found = run("convert", saved, tmp_path / "a.mtlx", "--option", "largest_error=2")
+    assert found.exit_code == 0, found.output
+    assert "files of openpbr are written, not read" in run("compare", saved, tmp_path / "a.mtlx").output

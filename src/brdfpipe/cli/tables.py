@@ -54,6 +54,8 @@ def convert(
     """
     from brdfpipe.exchange import conversion
 
+    if target.exists() and target.samefile(source):
+        raise click.BadParameter(f"{target} is the file that is read; give another one", param_hint="OUT")
     given = {"tolerance": tolerance, "largest": largest}
     options = {name: value for name, value in given.items() if value is not None} | dict(map(_option, further))
     wanted = _numbers(wavelengths)

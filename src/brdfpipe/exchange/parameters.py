@@ -92,7 +92,7 @@ def _entry(formula: str, words: str, parameters: dict[str, float], found: Scatte
     error = {
         "median": _digits(found.median),
         "percentile_95": _digits(found.percentile_95),
-        "albedo": _digits(found.relative_albedo),
+        "albedo": _digits(found.albedo),
         "directions": found.directions,
     }
     return {"formula": formula, "brdf": words, "parameters": parameters, "error": error}

@@ -80,4 +80,11 @@ def format_of(path: Path, name: str | None = None) -> Format:
         return matches[0]
     accepted = ", ".join(known.name for known in matches or readable.values())
     problem = "several formats have such files" if matches else "no format has such files"
+    written = [
+        known.name
+        for known in FORMATS.values()
+        if not known.read and any(file_name.endswith(suffix) for side in known.files for suffix in known.suffixes(side))
+    ]
+    if written and not matches:
+        problem = f"files of {written[0]} are written, not read"
     raise InputError(path, problem, found=path.suffix or "no suffix", accepted=accepted, key="table.format")

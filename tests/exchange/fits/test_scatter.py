@@ -50,7 +50,7 @@ def test_its_own_parameters_are_found(name: str) -> None:
     expected = LOBES[name][0] / LOBES[name][1] if name == "abg" else LOBES[name][0]
     assert peak == pytest.approx(expected, rel=0.1)
     assert found.median < 0.02
-    assert found.relative_albedo < 0.05
+    assert found.albedo < 0.05
 
 
 def test_the_reflectance_of_a_lobe_is_its_integral() -> None:

@@ -65,8 +65,6 @@ class Fit:
     """Of |fit − BSDF|·cos θ_o over the larger of BSDF·cos θ_o and 0.001 sr⁻¹, at directions that the fit did not use [1]"""
     percentile_95: float
     albedo: float
-    """Largest difference of the directional reflectance [1]"""
-    relative_albedo: float
     """Largest difference of the directional reflectance, relative to it [1]"""
     delta_e: float
     """Largest CIEDE2000 at :data:`COLOUR_GEOMETRIES`, D65 and 2 degree"""
@@ -221,7 +219,6 @@ def _with_error(bsdf: xr.Dataset, material: Material, index: float) -> Fit:
         index,
         float(np.median(errors)),
         float(np.quantile(errors, 0.95)),
-        float(off.max()),
         float((off / np.maximum(reflectance @ luminous, LEAST_REFLECTANCE)).max()),
         _delta_e(bsdf, material),
         errors.size,

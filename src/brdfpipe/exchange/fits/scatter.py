@@ -76,7 +76,7 @@ class ScatterFit:
     median: float
     """See :class:`brdfpipe.exchange.fits.fitting.Fit`"""
     percentile_95: float
-    relative_albedo: float
+    albedo: float
     """Largest error of the directional reflectance at :data:`brdfpipe.exchange.fits.fitting.INCIDENCES`, relative to it [1]"""
     directions: int
 
