@@ -31,7 +31,7 @@ PREDICTION_INPUTS = (
 _SOLUTIONS = {"kirchhoff": "diffraction on the map, after Kirchhoff", "traced": "rays traced over the map"}
 """Representation of a reference solution → how it was computed."""
 
-_METAL_EXTINCTION = 0.1
+METAL_EXTINCTION = 0.1
 """Extinction coefficient above which no light returns from below the surface."""
 
 
@@ -78,7 +78,7 @@ def has_finish(datasets: Datasets) -> bool:
 
 def is_metal(bsdf: xr.Dataset | None) -> bool:
     """Whether a BSDF states the extinction coefficient of a metal."""
-    return bsdf is not None and "k" in bsdf and float(bsdf["k"].min()) > _METAL_EXTINCTION
+    return bsdf is not None and "k" in bsdf and float(bsdf["k"].min()) > METAL_EXTINCTION
 
 
 def has_no_diffuse_base(bsdf: xr.Dataset | None) -> bool:

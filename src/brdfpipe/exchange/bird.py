@@ -83,7 +83,7 @@ def write(
     """
     seen = gridded.side_of(bsdf, "reflection", path)
     spectral = spectral and "wavelength" in bsdf.coords
-    channels = gridded.spectral(seen, bsdf["wavelength"].values) if spectral else gridded.photopic(seen)
+    channels = gridded.photopic_or_spectral(seen, spectral)
     table = gridded.gridded(seen, "uniform", channels, **grid).full_circle()
     record = records.record(table, FORMAT, bsdf)
     values = np.stack(

@@ -70,6 +70,13 @@ def spectral(bsdf: xr.Dataset, wavelength: Array) -> Channels:
     return Channels(tuple(f"{one:g}nm" for one in wavelength), bsdf, np.asarray, np.asarray(wavelength, dtype=float))
 
 
+def photopic_or_spectral(bsdf: xr.Dataset, by_wavelength: bool) -> Channels:
+    """One number for each wavelength of the BSDF; one weighted with V(λ) and D65 unless ``by_wavelength``, or where it has no wavelengths."""
+    if by_wavelength and "wavelength" in bsdf.coords:
+        return spectral(bsdf, bsdf["wavelength"].values)
+    return photopic(bsdf)
+
+
 @dataclass(frozen=True)
 class Gridded:
     """A BSDF on a grid."""

@@ -1,4 +1,4 @@
-"""LightTools: tabular BSDF, text (``.bsdf``), told from a Zemax file by its blocks ``AOI``.
+"""LightTools: tabular BSDF, text (``.bsdf``), distinguished from a Zemax file by its blocks ``AOI``.
 
 Angles of scatter are counted about the normal. ``ScatterAzimuth`` is counted from the plane of incidence, whose source is at 90 and whose mirror direction at 270
 degree. Each block has its ``AOI``, angle of incidence, and ``POI``, azimuth of the plane of incidence; ``TIS`` is the integral of the block.

@@ -72,9 +72,7 @@ def write(
             f"{path.name}: the surface has a lay; the azimuths of an OpenMATERIAL table are relative to the incident light"
         )
     seen = gridded.side_of(bsdf, "reflection", path)
-    channels = gridded.photopic(seen)
-    if spectral and "wavelength" in bsdf.coords:
-        channels = gridded.spectral(seen, bsdf["wavelength"].values)
+    channels = gridded.photopic_or_spectral(seen, spectral)
     table = gridded.gridded(seen, "uniform", channels, **grid).full_circle()
     record = records.record(table, FORMAT, bsdf)
     notes = records.sentences(record)

@@ -12,6 +12,7 @@ from typing import Any
 import xarray as xr
 
 from brdfpipe import store
+from brdfpipe.appearance.origin import METAL_EXTINCTION
 from brdfpipe.exchange import records
 from brdfpipe.exchange.fits.fitting import Fit, Form, fit, index_of
 from brdfpipe.exchange.fits.forms import by_albedo, dielectric
@@ -23,9 +24,6 @@ FORMAT = Format(
     files={"reflection": {"write": (".parameters.json",)}},
     options={"largest_error": 0.25},
 )
-
-_LARGEST_EXTINCTION = 0.1
-"""Above which the base of a dielectric has no meaning."""
 
 
 def write(bsdf: xr.Dataset, path: Path, *, largest_error: float) -> None:
@@ -46,7 +44,7 @@ def write(bsdf: xr.Dataset, path: Path, *, largest_error: float) -> None:
         raise ExchangeError(f"largest_error is {largest_error!r}; accepted: above 0")
     fits = [_of_formula(bsdf, name) for name in FORMULAS]
     n, k = index_of(bsdf)
-    if k < _LARGEST_EXTINCTION:
+    if k < METAL_EXTINCTION:
         fits += [_of_facets(bsdf, distribution, n) for distribution in ("ggx", "beckmann")]
     for one in fits:
         named = {"median error": one["error"]["median"], "error of the reflectance": one["error"]["albedo"]}
@@ -60,8 +58,7 @@ def write(bsdf: xr.Dataset, path: Path, *, largest_error: float) -> None:
             f"(median) and {least['error']['albedo']:.0%} of the reflectance, above the limit of {largest_error:g}; use the format of a table, or raise `largest_error`"
         )
     document = {
-        "material": str(bsdf.attrs.get("material", "unnamed")),
-        "digest": str(bsdf.attrs.get("digest", "unknown")),
+        **records.identity(bsdf),
         "values": "BRDF in sr-1, not multiplied by the cosine, weighted with V(lambda) and D65",
         "x": "distance of the direction cosines from those of the mirror direction, |beta - beta0|",
         "error": "relative: median and 95th percentile of BRDF cos theta_o, and albedo, the largest of the directional reflectance to 75 degree",

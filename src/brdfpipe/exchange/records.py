@@ -46,18 +46,25 @@ def record(table: Exported, format: Format, whole: xr.Dataset | None = None) -> 
     """Material, digest, error and losses of a table; ``whole`` is the BSDF of which the table holds one side."""
     bsdf, error = table.bsdf if whole is None else whole, table.error
     return {
-        "material": str(bsdf.attrs.get("material", "unnamed")),
-        "digest": str(bsdf.attrs.get("digest", "unknown")),
+        **identity(bsdf),
         "values": table.size,
         "error": {
-            "percentile_95": _digits(error.percentile_95),
-            "rms": _digits(error.rms),
-            "albedo": _digits(error.albedo),
+            "percentile_95": three_digits(error.percentile_95),
+            "rms": three_digits(error.rms),
+            "albedo": three_digits(error.albedo),
             "directions": error.directions,
             "reading": table.reading,
             **({} if table.within_tolerance is None else {"within_tolerance": table.within_tolerance}),
         },
         "left_out": left_out(bsdf, format, table.channel_count),
+    }
+
+
+def identity(bsdf: xr.Dataset) -> Record:
+    """Material and digest."""
+    return {
+        "material": str(bsdf.attrs.get("material", "unnamed")),
+        "digest": str(bsdf.attrs.get("digest", "unknown")),
     }
 
 
@@ -125,6 +132,6 @@ def specular_shares(model: Representation) -> str:
     return "; ".join(texts)
 
 
-def _digits(value: float) -> float:
+def three_digits(value: float) -> float:
     """Three significant digits: the error depends on the choice of directions beyond them."""
     return float(f"{value:.3g}")

@@ -52,9 +52,7 @@ def write(bsdf: xr.Dataset, path: Path, *, spectral: bool = False, **grid: Any) 
             f"{path.name}: the surface has a lay, which a .brdf file cannot hold; use the format speos (.anisotropicbsdf)"
         )
     seen = gridded.side_of(bsdf, "reflection", path)
-    channels = gridded.photopic(seen)
-    if spectral and "wavelength" in bsdf.coords:
-        channels = gridded.spectral(seen, seen["wavelength"].values)
+    channels = gridded.photopic_or_spectral(seen, spectral)
     table = gridded.gridded(seen, "uniform", channels, **grid)
     record = records.record(table, FORMAT, bsdf)
     theta_i = table.axes["theta_i"]

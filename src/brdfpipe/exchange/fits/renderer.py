@@ -7,6 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import xarray as xr
 
+from brdfpipe.appearance.origin import METAL_EXTINCTION
 from brdfpipe.bsdf.nonspectral import nonspectral
 from brdfpipe.bsdf.registry import representation
 from brdfpipe.exchange import records
@@ -16,8 +17,6 @@ from brdfpipe.exchange.gridded import linear_rgb
 from brdfpipe.exchange.registry import Format
 from brdfpipe.geometry import Array
 from brdfpipe.optics.fresnel_equations import fresnel
-
-_METAL_EXTINCTION = 0.1
 
 
 class Fitted:
@@ -41,8 +40,7 @@ class Fitted:
         if not self.is_smooth and (shares := records.specular_shares(representation(self.bsdf))):
             left_out["specular"] = shares
         return {
-            "material": str(self.bsdf.attrs.get("material", "unnamed")),
-            "digest": str(self.bsdf.attrs.get("digest", "unknown")),
+            **records.identity(self.bsdf),
             "parameters": {
                 "base_colour": [float(f"{value:.4f}") for value in self.colour],
                 "roughness": float(f"{self.roughness:.4f}"),
@@ -51,10 +49,10 @@ class Fitted:
             },
             "error": {
                 "reading": f"evaluated as {form}",
-                "median": float(f"{found.median:.3g}"),
-                "percentile_95": float(f"{found.percentile_95:.3g}"),
-                "albedo": float(f"{found.albedo:.3g}"),
-                "delta_e_00": float(f"{found.delta_e:.3g}"),
+                "median": records.three_digits(found.median),
+                "percentile_95": records.three_digits(found.percentile_95),
+                "albedo": records.three_digits(found.albedo),
+                "delta_e_00": records.three_digits(found.delta_e),
                 "directions": found.directions,
             },
             "left_out": left_out,
@@ -87,7 +85,7 @@ def fitted(
     ExchangeError : the fit is beyond a limit, the surface has a lay, or no light is reflected.
     """
     n, k = index_of(bsdf)
-    if k > _METAL_EXTINCTION:
+    if k > METAL_EXTINCTION:
         normal = _reflectance_of_metal(bsdf)
         found = fit(bsdf, Form("ggx", lambda _: schlick(normal), nothing, n, compensated))
         return Fitted(bsdf, checked(found, largest_error, largest_delta_e, form), normal, is_metal=True)
