@@ -21,6 +21,7 @@ description: Rubber under white PVC
 surface: {file: KautschukInfiniteFocus.x3p}
 index: 1.52
 spectrum: {file: pvc_white_de.csv, geometry: sci}
+exports: [astm]
 """
 
 BAD = {
