@@ -178,10 +178,24 @@ def test_the_library_is_not_imported_for_other_files(tmp_path: Path, monkeypatch
 @pytest.mark.usefixtures("library")
 def test_a_file_of_another_kind_is_refused_in_words(tmp_path: Path) -> None:
     (tmp_path / "map.opd").write_text("not at all")
-    with pytest.raises(InputError, match=r"^map\.opd: not a Wyko OPD file, or damaged.*`surface\.format`"):
+    with pytest.raises(
+        InputError, match=r"^map\.opd: not a Wyko OPD file, or damaged.*accepted: a whole Wyko OPD file"
+    ):
         read_surface(tmp_path / "map.opd")
     with pytest.raises(InputError, match=r"^absent\.opd: cannot be read"):
         read_surface(tmp_path / "absent.opd")
+
+
+@pytest.mark.usefixtures("library")
+def test_messages_name_no_key_that_cannot_help(shared_data: Path, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="too few points") as refused:
+        read_surface(shared_data / "surfaces" / "sdf-1.sdf")
+    assert "set `" not in str(refused.value)
+    with zipfile.ZipFile(tmp_path / "map.plux", "w") as archive:
+        archive.writestr("index.xml", "<xml></xml>")
+    with pytest.raises(InputError, match=r"damaged.*accepted: a whole Sensofar PLUX file") as refused:
+        read_surface(tmp_path / "map.plux")
+    assert "set `" not in str(refused.value)
 
 
 def channel(name: str, values: np.ndarray, **changes: Any) -> SimpleNamespace:

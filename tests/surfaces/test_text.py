@@ -56,6 +56,43 @@ def test_every_separator_and_decimal_mark_reads_the_same_grid(
     np.testing.assert_allclose(surface.y, asymmetric.y)
 
 
+@pytest.mark.parametrize("indent", ["\t\t\t", "\t", "  \t ", ";;", ";"])
+@pytest.mark.parametrize("separator", [" ", "\t", ";"])
+def test_separators_before_the_first_number_of_every_line_change_nothing(
+    tmp_path: Path, asymmetric: xr.Dataset, indent: str, separator: str
+) -> None:
+    if ";" in indent and separator != ";":
+        return
+    rows = spell(asymmetric.height.values, separator, missing="nan").splitlines()
+    surface = read_surface(put(tmp_path, "\n".join(indent + row for row in rows) + "\n"), **GRID)
+    np.testing.assert_allclose(surface.height, asymmetric.height, rtol=0, atol=PRINTED)
+
+
+@pytest.mark.parametrize(
+    "header",
+    [
+        "# Channel: a map\n# Width: 25.00 µm\n# Height: 28000 nm\n# Value units: m\n",
+        "# Kanal: a map\n# Breite: 25,00 µm\n# Höhe: 28,00 µm\n# Value units: m\n",
+    ],
+)
+def test_the_header_of_gwyddion_states_unit_and_pitch(tmp_path: Path, asymmetric: xr.Dataset, header: str) -> None:
+    # Gwyddion counts rows from the upper edge down.
+    rows = "\n".join("\t".join(f"{z * 1e-6:.9e}" for z in row) for row in asymmetric.height.values[::-1])
+    surface = read_surface(put(tmp_path, header + rows + "\n"))
+    np.testing.assert_allclose(surface.height, asymmetric.height, rtol=0, atol=1e-8)
+    assert (surface.attrs["pitch_x"], surface.attrs["pitch_y"]) == pytest.approx((0.5, 0.7), rel=1e-12)
+    read_surface(put(tmp_path, header + rows + "\n"), pitch=[0.5e-6, 0.7e-6])
+    with pytest.raises(InputError, match=r"contradicts the extent along y; found 5e-07 against 7e-07.*surface\.pitch"):
+        read_surface(put(tmp_path, header + rows + "\n"), pitch=0.5e-6)
+
+
+def test_the_real_exports_of_gwyddion_lack_only_points(shared_data: Path) -> None:
+    # They hold four rows of three heights: everything else is known.
+    for language in ("english", "german"):
+        with pytest.raises(InputError, match=r"too few points.*found 4 x 3"):
+            read_surface(shared_data / "surfaces" / f"gwyddion-export-{language}.txt")
+
+
 @pytest.mark.parametrize("separator", [",", ", "])
 def test_commas_separate_where_points_are_decimal(tmp_path: Path, asymmetric: xr.Dataset, separator: str) -> None:
     surface = read_surface(put(tmp_path, spell(asymmetric.height.values, separator), "map.csv"), **GRID)

@@ -70,6 +70,26 @@ def test_a_written_map_reads_back_in_the_same_orientation(
     assert (read_back.attrs["pitch_x"], read_back.attrs["pitch_y"]) == pytest.approx((0.5, 0.7), rel=1e-12)
 
 
+def test_the_root_element_of_older_files_is_accepted_in_a_folder_of_the_archive(
+    tmp_path: Path, asymmetric: xr.Dataset
+) -> None:
+    xml = document().replace("ISO5436_2", "ISO5436")
+    path = pack(tmp_path, {"scan/main.xml": xml, "scan/bindata/data.bin": binary(asymmetric)})
+    np.testing.assert_allclose(read_surface(path).height, asymmetric.height, rtol=1e-12)
+
+
+def test_a_wrong_unit_inside_the_file_asks_for_no_key_that_does_not_apply(
+    tmp_path: Path, asymmetric: xr.Dataset
+) -> None:
+    entries = {"bindata/data.bin": binary(asymmetric)}
+    for change, problem in ((("5e-7", "5e-1"), "implausible pitch"), (("5e-7", "5e-10"), "implausible")):
+        path = pack(tmp_path, {"main.xml": document().replace(*change), **entries})
+        with pytest.raises(InputError, match=problem) as refused:
+            read_surface(path)
+        assert "surface." not in str(refused.value)
+        assert "the file states its units" in str(refused.value)
+
+
 def test_a_written_line_reads_back_as_a_line(tmp_path: Path, line: xr.Dataset) -> None:
     write_x3p(line, tmp_path / "line.x3p")
     surface = read_surface(tmp_path / "line.x3p")

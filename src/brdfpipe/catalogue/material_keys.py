@@ -112,6 +112,7 @@ class Scan(Keys):
         Annotated[tuple[Length, Length], Strict(False)] | Length,
         Choice(lambda pitch: 0 if isinstance(pitch, list) else 1),
     ] = key("as `surface.pitch`", default_words=_LIKE_FIRST)
+    missing: float = key("as `surface.missing`", default_words=_LIKE_FIRST, example=-25400)
 
 
 class MeasuredSurface(Keys):
@@ -146,6 +147,12 @@ class MeasuredSurface(Keys):
     ] = key(
         "distance between neighbouring points in lateral_unit; one number above 0 or [x, y]",
         default_words="what the file states",
+        stage="surface",
+    )
+    missing: float = key(
+        "a height that marks missing ones, as the file writes it (in µm where the file states its unit)",
+        default_words="NaN, empty fields, and what the format states",
+        example=-25400,
         stage="surface",
     )
     channel: str = key(

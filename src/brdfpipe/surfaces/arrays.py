@@ -93,7 +93,7 @@ def _heights(
     if 1 in height.shape:
         height = height.reshape(-1)
     pitch_y = steps[-1] * lateral_scale if height.ndim == 2 else None
-    return Heights(height, steps[0] * lateral_scale, pitch_y)
+    return Heights(height, steps[0] * lateral_scale, pitch_y, unit=height_scale)
 
 
 def _read_array(handle: IO[bytes], size: int, path: Path, where: str | None) -> NDArray[Any]:

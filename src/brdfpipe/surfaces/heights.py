@@ -7,7 +7,7 @@ are far from any finish of a plastic, paint or film.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from brdfpipe.errors import InputError
 from brdfpipe.file_formats import FileFormat
+from brdfpipe.surfaces import placeholders
 from brdfpipe.vocabulary import add_history, add_warning, label
 
 PITCH_RANGE = (1e-3, 1e3)  # accepted pitch [um]
@@ -43,6 +44,7 @@ class Heights:
     pitch_x, pitch_y : um; ``pitch_y`` is None for a line
     history : corrections, in words
     warnings : doubts; each says what to do
+    unit : of the heights in the file [um], for formats whose unit a key may state
     """
 
     height: NDArray[np.floating]
@@ -50,6 +52,7 @@ class Heights:
     pitch_y: float | None = None
     history: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
+    unit: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -96,13 +99,17 @@ def band(attrs: Mapping[str, Any]) -> str:
     return f"{pitch} um pitch; {', '.join(filters)} filter"
 
 
-def examine(surface: xr.Dataset, file: Path) -> xr.Dataset:
+def examine(
+    surface: xr.Dataset, file: Path, keys: Collection[str] = (*UNSTATED, "layout"), unit: float = 1.0
+) -> xr.Dataset:
     """Refuse implausible heights; warn about doubtful ones.
 
     Parameters
     ----------
     surface : kind ``surface``
     file : raw file, for messages
+    keys : keys of ``surface`` that apply to the format of the file: messages suggest no other
+    unit : of the heights in the file [um], for messages
 
     Returns
     -------
@@ -113,21 +120,32 @@ def examine(surface: xr.Dataset, file: Path) -> xr.Dataset:
     Raises
     ------
     InputError : pitch outside 1 nm to 1 mm; extent of 1 m or more; fewer than 32 x 32 (areal) or 64 (line) points; infinite
-        heights; more than 50 % missing; fewer than 16 distinct heights; rms slope, mean slope removed, outside [1e-4, 3].
+        heights; more than 50 % missing; a value that looks like a mark of missing heights; fewer than 16 distinct heights; rms
+        slope, mean slope removed, outside [1e-4, 3].
     """
     height = surface.height.values
     pitches = [surface.attrs[f"pitch_{dim}"] for dim in surface.height.dims]
-    _check_grid(height.shape, pitches, file)
+    _check_grid(height.shape, pitches, file, keys)
     missing = np.isnan(height)
     fraction = float(missing.mean())
     if fraction > MISSING_MAX:
         accepted = "at most 50 %; measure again, or export a part with fewer gaps"
         raise InputError(file, "more than half of the heights are missing", found=f"{fraction:.1%}", accepted=accepted)
-    steepest, peaked = _check_heights(height, pitches, file)
+    _check_placeholder(height, file, unit)
+    steepest, peaked = _check_heights(height, pitches, file, keys)
     return add_warning(surface, *_doubts(fraction, pitches, steepest, peaked))
 
 
-def _check_grid(shape: tuple[int, ...], pitches: list[float], file: Path) -> None:
+def _applicable(key: str, keys: Collection[str]) -> dict[str, str]:
+    """The key to set, for a message, if it applies to the format of the file."""
+    return {"key": f"surface.{key}"} if key in keys else {}
+
+
+_ELSEWHERE = "; the file states its units: correct them in the instrument's software, or export it as text"
+"""What remains where no key applies."""
+
+
+def _check_grid(shape: tuple[int, ...], pitches: list[float], file: Path, keys: Collection[str]) -> None:
     for dim, pitch, count in zip("yx"[-len(shape) :], pitches, shape, strict=True):
         extent, problem = pitch * count, ""
         if not PITCH_RANGE[0] <= pitch <= PITCH_RANGE[1]:
@@ -135,7 +153,9 @@ def _check_grid(shape: tuple[int, ...], pitches: list[float], file: Path) -> Non
         elif extent >= EXTENT_MAX:
             problem, found, accepted = "implausible extent", f"{extent / 1e6:g} m", "less than 1 m"
         if problem:
-            raise InputError(file, f"{problem} along {dim}", found=found, accepted=accepted, key="surface.lateral_unit")
+            named = _applicable("lateral_unit", keys)
+            accepted += "" if named else _ELSEWHERE
+            raise InputError(file, f"{problem} along {dim}", found=found, accepted=accepted, **named)
     least = LINE_MIN if len(shape) == 1 else GRID_MIN
     if min(shape) < least:
         raise InputError(
@@ -143,11 +163,27 @@ def _check_grid(shape: tuple[int, ...], pitches: list[float], file: Path) -> Non
             "too few points for a slope distribution",
             found=" x ".join(map(str, shape)),
             accepted=f"{LINE_MIN} or more along a line, {GRID_MIN} x {GRID_MIN} or more of an area",
-            key="surface.layout",
+            **_applicable("layout", keys),
         )
 
 
-def _check_heights(height: NDArray[np.floating], pitches: list[float], file: Path) -> tuple[float, float]:
+def _check_placeholder(height: NDArray[np.floating], file: Path, unit: float) -> None:
+    found = placeholders.find(_sample(height))
+    if found is None:
+        return
+    value = f"{found.value / unit:.7g}"
+    raise InputError(
+        file,
+        "one value lies far from all other heights, as if it marked missing ones",
+        found=f"{value} in {found.share:.1%} of them",
+        accepted=f"`missing: {value}` if it does; else heights without it",
+        key="surface.missing",
+    )
+
+
+def _check_heights(
+    height: NDArray[np.floating], pitches: list[float], file: Path, keys: Collection[str]
+) -> tuple[float, float]:
     """Refuse implausible heights; return the steepest slope between two neighbours, and rms over median slope."""
     if np.isinf(height).any():
         found, accepted = int(np.isinf(height).sum()), "numbers; NaN, *** or an empty field where a height is missing"
@@ -163,13 +199,11 @@ def _check_heights(height: NDArray[np.floating], pitches: list[float], file: Pat
         )
     slope, steepest, peaked = _slopes(height, pitches)
     if not SLOPE_RANGE[0] <= slope <= SLOPE_RANGE[1]:
-        raise InputError(
-            file,
-            "implausible rms slope of a surface finish; check the unit of the heights, and that of the distances, `surface.lateral_unit`",
-            found=f"{slope:.3g}",
-            accepted=f"{SLOPE_RANGE[0]:g} to {SLOPE_RANGE[1]:g}",
-            key="surface.unit",
-        )
+        accepted, named = f"{SLOPE_RANGE[0]:g} to {SLOPE_RANGE[1]:g}", _applicable("unit", keys)
+        problem = "implausible rms slope of a surface finish"
+        problem += "; check the unit of the heights, and that of the distances, `surface.lateral_unit`" if named else ""
+        accepted += "" if named else _ELSEWHERE
+        raise InputError(file, problem, found=f"{slope:.3g}", accepted=accepted, **named)
     return steepest, peaked
 
 

@@ -151,7 +151,7 @@ def _height_channel(channels: Sequence[Any], name: str | None, path: Path) -> tu
             "no height channel in the file" if name is None else "unknown height channel",
             found=repr(name) if name else f"{len(channels)} channels",
             accepted=names or "a file with a height map",
-            key="surface.channel",
+            key="surface.channel" if names else None,
         )
     points = math.prod(chosen[0].nb_grid_pts or (1,))
     if points > MAX_POINTS:
@@ -220,11 +220,19 @@ def _refusal(path: Path, title: str, error: Exception) -> InputError:
         return InputError(path, f"cannot be read ({error.strerror})")
     # Messages of the library describe the fault; those of other packages may contain folder names.
     from_library = type(error).__module__.startswith(LIBRARY) and str(error).strip()
+    # Another format helps where the file is not of this one, not where it is damaged.
+    is_another = type(error).__name__ in ("CannotDetectFileFormat", "FileFormatMismatch")
     words = (
         str(error).strip().splitlines()[0][:120].replace(str(path), path.name) if from_library else type(error).__name__
     )
+    problem = f"not a {title} file, or damaged"
     return InputError(
-        path, f"not a {title} file, or damaged", found=words, accepted="a whole file", key="surface.format"
+        path,
+        problem,
+        found=words,
+        accepted=f"a whole {title} file, as the instrument wrote it"
+        + ("; or the format that it has" if is_another else ""),
+        key="surface.format" if is_another else None,
     )
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,7 @@ import xarray as xr
 
 from brdfpipe.errors import BrdfpipeError, InputError
 from brdfpipe.file_formats import format_of
-from brdfpipe.surfaces import arrays, instruments, text, x3p
+from brdfpipe.surfaces import arrays, instruments, placeholders, text, x3p
 from brdfpipe.surfaces.filtering import high_pass, low_pass
 from brdfpipe.surfaces.heights import SurfaceFormat, examine, surface_dataset
 from brdfpipe.surfaces.levelling import FORMS, level
@@ -22,13 +23,16 @@ FORMATS: dict[str, SurfaceFormat] = {
 """Formats of surface files by name. To add one, write a module with ``FORMATS`` like :mod:`.x3p` and list it above."""
 
 
-def read_surface(path: str | os.PathLike[str], format: str | None = None, **options: Any) -> xr.Dataset:
+def read_surface(
+    path: str | os.PathLike[str], format: str | None = None, *, missing: float | None = None, **options: Any
+) -> xr.Dataset:
     """Read a measured surface and check that its heights are plausible.
 
     Parameters
     ----------
     path : the file
     format : a key of :data:`FORMATS`; by default from the extension
+    missing : a height that marks missing ones, in the unit of the file's heights; in um where the file states that unit
     **options : values that the file does not state. Text and NumPy: ``unit`` of the heights and ``lateral_unit`` (nm, um,
         mm, m), ``pitch`` (number or pair [x, y], in ``lateral_unit``); text only: ``layout`` (``line``, ``grid``,
         ``xyz``); instruments' formats: ``channel``, the name of the height channel if there are several; ``nms``:
@@ -58,7 +62,11 @@ def read_surface(path: str | os.PathLike[str], format: str | None = None, **opti
                 found=given[name],
                 accepted=", ".join(chosen.options) or "none; the file states units and pitch",
             )
-    return examine(surface_dataset(chosen.read(path, **given)), path)
+    heights = chosen.read(path, **given)
+    if missing is not None:
+        height, note = placeholders.as_missing(heights.height, missing, heights.unit)
+        heights = replace(heights, height=height, history=(*heights.history, note))
+    return examine(surface_dataset(heights), path, chosen.options, heights.unit)
 
 
 def ingest(path: str | os.PathLike[str], spec: Mapping[str, Any]) -> xr.Dataset:

@@ -33,6 +33,11 @@ _LENGTH = re.compile(
     rf"^[ \t#%]*(?:(?:scan|profile)[ _])?length[ \t]*[:;=,\t][ \t]*(\d+\.?\d*)[ \t]*\[?({'|'.join(UNITS)})\b",
     re.IGNORECASE | re.MULTILINE,
 )
+_GWYDDION_EXTENT = re.compile(
+    rf"[ \t]*#[ \t]*(width|breite|largeur|height|höhe|hauteur)[ \t]*:[ \t]*(\d+(?:[.,]\d*)?(?:e[+-]?\d+)?)[ \t]*({'|'.join(UNITS)})[ \t]*",
+    re.IGNORECASE,
+)
+_GWYDDION_UNIT = re.compile(rf"[ \t]*#[ \t]*value units?[ \t]*:[ \t]*({'|'.join(UNITS)})[ \t]*", re.IGNORECASE)
 _PITCH_SETTING = "a line `# pitch: 0.5 0.5`"
 _NO_LAST_FIELD = re.compile(r"[;,\t]$|[;,\s]-$")
 _TWO_PERCENT = 0.02
@@ -51,6 +56,8 @@ class _Body:
     notes: list[str]
     length: float | None = None
     """Length of the profile according to the header [um]."""
+    extent: tuple[float, ...] = ()
+    """Width and height of the map according to the header of Gwyddion [um]; empty without one."""
 
 
 def read_text(
@@ -66,7 +73,7 @@ def read_text(
     Parameters
     ----------
     path : columns separated by ``;``, tab, ``,`` or white space; decimal point or comma; comments after ``#`` or ``%``; header lines
-        above the first line of numbers are skipped
+        above the first line of numbers are skipped; of Gwyddion's, ``# Width``, ``# Height`` and ``# Value units`` are used
     layout : ``line`` (x and z, or z alone), ``grid`` (a row of heights a line, the first at y = 0) or ``xyz`` (in any
         order); by default from the shape: one row, one or two columns are a line, three columns are xyz, more a grid
     unit, lateral_unit, pitch : by default from lines ``# unit: um``, ``# lateral_unit: mm``, ``# pitch: 0.5 0.5``; the pitch also from
@@ -91,9 +98,15 @@ def read_text(
     height_scale, lateral_scale = scales(path, body.settings, unit, lateral_unit, setting="a line `# unit: um`")
     table = _table(body, path)
     steps = pitch_steps(path, body.settings, pitch)
-    chosen = layout or _default_layout(table)
+    chosen = layout or ("grid" if body.extent and len(table) > 1 else _default_layout(table))
+    of_gwyddion = chosen == "grid" and len(body.extent) == 2
+    if of_gwyddion:
+        steps = _gwyddion_steps(table.shape, body.extent, lateral_scale, steps, path)
     read = {"line": _line, "grid": _grid, "xyz": _xyz}[chosen]
     height, pitch_x, pitch_y, remarks = read(table, steps, path)
+    if of_gwyddion:
+        height = height[::-1]
+        remarks = (*remarks, "Pitch from the width and height that Gwyddion states; its first row is the upper edge.")
     height = height * height_scale if height_scale != 1 else height
     doubt = _truncation_sign(body.text)
     extent = height.shape[-1] * pitch_x * lateral_scale
@@ -107,7 +120,22 @@ def read_text(
         None if pitch_y is None else pitch_y * lateral_scale,
         (*notes, *body.notes, *remarks),
         _cut_warning(doubt),
+        height_scale,
     )
+
+
+def _gwyddion_steps(
+    shape: tuple[int, ...], extent: tuple[float, ...], unit: float, stated: tuple[float, ...], path: Path
+) -> tuple[float, ...]:
+    """Pitch in x and y in units of ``unit`` um, from the extent [um] that Gwyddion's header states; a contradicting pitch is refused."""
+    width, height = extent
+    steps = width / shape[1] / unit, height / shape[0] / unit
+    for name, given, measured in zip("xy", (*stated, *stated[-1:]), steps, strict=False):
+        if abs(given - measured) > 0.01 * measured:
+            problem, found = f"the stated pitch contradicts the extent along {name}", f"{given:g} against {measured:g}"
+            accepted = "no pitch where the header states width and height"
+            raise InputError(path, problem, found=found, accepted=accepted, key="surface.pitch")
+    return steps
 
 
 def read_hfm(path: Path) -> Heights:
@@ -129,7 +157,8 @@ def read_hfm(path: Path) -> Heights:
         raise InputError(path, "not an HFM profile", found=f"{table.shape[1]} columns", accepted="x, z and valid")
     profile = np.column_stack([table[:, 0], np.where(table[:, 2] == 1, table[:, 1], np.nan)])
     height, pitch, _, remarks = _line(profile, (), path)
-    return Heights(height * z_scale, pitch * x_scale, None, (*notes, *remarks), _cut_warning(_truncation_sign(rows)))
+    doubts = _cut_warning(_truncation_sign(rows))
+    return Heights(height * z_scale, pitch * x_scale, None, (*notes, *remarks), doubts)
 
 
 def _cut_warning(doubt: str) -> tuple[str, ...]:
@@ -174,18 +203,24 @@ def _decoded(path: Path) -> tuple[str, list[str]]:
 
 def _split_header(text: str, path: Path) -> _Body:
     settings: dict[str, str] = {}
+    extent: dict[str, float] = {}
     skipped, offset = 0, 0
     for number, line in enumerate(_lines(text), 1):
-        setting = _SETTING.match(line)
-        if setting:
+        if setting := _SETTING.match(line):
             settings[setting[1].lower()] = setting[2].strip()
+        elif unit := _GWYDDION_UNIT.fullmatch(line.rstrip("\n")):
+            settings.setdefault("unit", unit[1])
+        elif size := _GWYDDION_EXTENT.fullmatch(line.rstrip("\n")):
+            side = "width" if size[1].lower() in ("width", "breite", "largeur") else "height"
+            extent[side] = float(size[2].replace(",", ".")) * UNITS[size[3]]
         content = re.split("[#%]", line, maxsplit=1)[0].strip()
         first = next(filter(None, re.split(r"[;\s]+|,(?!\d)", content)), "")
         if _NUMBER.fullmatch(first) or _NUMBER.fullmatch(first.split(",")[0]):
             notes = [f"Skipped {skipped} header lines above the heights."] if skipped else []
             stated = _LENGTH.search(text[:offset])
             length = float(stated[1]) * UNITS[stated[2].lower()] if stated else None
-            return _Body(_without_comments(text[offset:]), number, settings, notes, length)
+            sides = (extent["width"], extent["height"]) if len(extent) == 2 and min(extent.values()) > 0 else ()
+            return _Body(_without_comments(text[offset:]), number, settings, notes, length, sides)
         skipped += bool(content)
         offset += len(line)
     raise InputError(
@@ -212,7 +247,7 @@ def _without_comments(text: str) -> str:
 
 
 def _table(body: _Body, path: Path) -> NDArray[np.float64]:
-    """The numbers, (rows, columns); empty columns at the right end are left out."""
+    """The numbers, (rows, columns); empty columns at either end are left out."""
     separator, decimal = _marks(body, path)
     data, lines = _check_rows(body, separator, path)
     options: dict[str, Any] = {
@@ -233,12 +268,16 @@ def _table(body: _Body, path: Path) -> NDArray[np.float64]:
         raise InputError(path, "rows of unequal length", accepted="the same number of fields in every row")
     while table.shape[1] > 1 and np.isnan(table[:, -1]).all() and separator:
         table = table[:, :-1]
+    while table.shape[1] > 1 and np.isnan(table[:, 0]).all() and separator:
+        table = table[:, 1:]
     return table
 
 
 def _marks(body: _Body, path: Path) -> tuple[str | None, str]:
     """Separator of the columns (None: white space) and decimal mark, from the first row and the marks used below it."""
     row = body.text.partition("\n")[0].strip(" ")
+    # A tab before the first number may indent a row of blank-separated numbers.
+    row = row if "\t" in row.strip() else row.strip()
     decimal = _decimal_mark(row) or _decimal_mark(body.text) or "."
     for separator in (";", "\t"):
         if separator in row:
@@ -433,7 +472,7 @@ FORMATS = (
     SurfaceFormat(
         "text",
         (".txt", ".csv", ".dat", ".asc", ".xyz"),
-        "unit (or a line `# unit: um`); pitch (or `# pitch: 0.5 0.5`) where there are no positions",
+        "unit (or a line `# unit: um`); pitch (or `# pitch: 0.5 0.5`) where there are no positions; neither with the header of a Gwyddion export, whose first row is the upper edge",
         read_text,
         ("layout", *UNSTATED),
     ),

@@ -29,6 +29,8 @@ from brdfpipe.vocabulary import validate
 DATA_TYPES = {"I": "<i2", "L": "<i4", "F": "<f4", "D": "<f8"}
 
 _MICROMETRES = 1e6
+_ROOTS = ("ISO5436_2", "ISO5436")
+"""Root elements: of the standard, and of files from before it."""
 _MAX_XML = 2**26
 _MAX_ENTRIES = 1000
 _TRUNCATED = "a whole file: export or copy it again"
@@ -155,8 +157,9 @@ def _parse(xml: bytes, path: Path) -> Element:
         ) from error
     except (ParseError, ValueError, LookupError) as error:
         raise InputError(path, f"the XML is damaged ({error})", where="main.xml", accepted=_TRUNCATED) from error
-    if root.tag.rpartition("}")[2] != "ISO5436_2":
-        raise InputError(path, "not an X3P document", where="main.xml", found=root.tag[-60:], accepted="ISO5436_2")
+    if root.tag.rpartition("}")[2] not in _ROOTS:
+        found, accepted = root.tag[-60:], ", ".join(_ROOTS)
+        raise InputError(path, "not an X3P document", where="main.xml", found=found, accepted=accepted)
     return root
 
 
