@@ -39,7 +39,7 @@ Record = dict[str, Any]
 @click.option(
     "--scene",
     default=None,
-    help="The scene that is built.  [default: catalogue; gloss-sheet, the cheapest, for --growth]",
+    help="The scene that is built.  [default: catalogue; multiangle-qc, the cheapest, for --growth]",
 )
 @click.option("--growth", is_flag=True, help="Build catalogues of growing numbers of varied small materials.")
 @click.option("--numbers", default="100,1000,10000", show_default=True, help="Of materials, for --growth.")
@@ -52,7 +52,7 @@ def main(
 ) -> None:
     """Build many materials and measure the time of each stage."""
     if growth:
-        measure_growth([int(number) for number in numbers.split(",")], cores, scene or "gloss-sheet", folder, out)
+        measure_growth([int(number) for number in numbers.split(",")], cores, scene or "multiangle-qc", folder, out)
         return
     scene = scene or "catalogue"
     with tempfile.TemporaryDirectory() as temporary:

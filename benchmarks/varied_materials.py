@@ -1,7 +1,7 @@
 """Varied small materials of every route to a BRDF, as many as asked for: the catalogue on which the machinery is measured.
 
 Each is small, so that its stages take little and the machinery shows: maps of 96² heights, lines of 1024, rigs of two wavelengths. None has a
-lay: one such surface takes as long as fifty of the others.
+lay: one such surface takes as long as fifty of the others. Sheets and rigs, which take five times as long as the others, are one in 63 each.
 """
 
 from __future__ import annotations
@@ -48,7 +48,10 @@ def write_varied(folder: Path, count: int) -> list[Path]:
     written = []
     _write_calibration(folder)
     for number in range(count):
-        route = list(ROUTES)[number % len(ROUTES)]
+        turn, place = divmod(number, len(ROUTES))
+        route = list(ROUTES)[place]
+        if route in COSTLY and turn % EVERY:
+            route = "colour"
         material = folder / f"{route}-{number:04d}"
         material.mkdir()
         text = ROUTES[route](material, np.random.default_rng([number, 5]))
@@ -95,6 +98,24 @@ def _metal(material: Path, random: np.random.Generator) -> str:
     return f"surface: {{distribution: beckmann, slope_rms: {random.uniform(0.05, 0.3):.3f}}}\nindex: {index}\n"
 
 
+def _table(material: Path, random: np.random.Generator) -> str:
+    """A matt lobe about the mirror direction on a diffuse part, as comma-separated values; reciprocal."""
+    incidence, scatter, azimuth = (np.radians(axis) for axis in ([0, 30, 60], range(0, 86, 5), range(0, 360, 15)))
+    theta_i, theta_o, phi_o = (axis.ravel() for axis in np.meshgrid(incidence, scatter, azimuth, indexing="ij"))
+    theta_i, theta_o, phi_o = (axis[(theta_o > 0) | (phi_o == 0)] for axis in (theta_i, theta_o, phi_o))
+    sine = np.sin(theta_i) ** 2 + np.sin(theta_o) ** 2 + 2 * np.sin(theta_i) * np.sin(theta_o) * np.cos(phi_o)
+    value = random.uniform(0.02, 0.2) + random.uniform(0.05, 0.2) * np.exp(-sine / random.uniform(0.05, 0.2))
+    np.savetxt(
+        material / "table.samples.csv",
+        np.column_stack([*np.degrees([theta_i, 0 * theta_i, theta_o, phi_o]), value]),
+        fmt="%.6g",
+        delimiter=",",
+        header="theta_i_deg,phi_i_deg,theta_o_deg,phi_o_deg,bsdf_per_sr",
+        comments="",
+    )
+    return "table: {file: table.samples.csv}\n"
+
+
 def _rig(material: Path, random: np.random.Generator) -> str:
     """A run of the emulated rig over the first material that is a colour alone, which is quick to emulate."""
     for file in ("rig.yaml", "fibres.csv"):
@@ -113,9 +134,13 @@ ROUTES: dict[str, Write] = {
     "paint": _effect_paint,
     "sheet": _clear_sheet,
     "metal": _metal,
+    "table": _table,
     "rig": _rig,
 }
 """Route → what writes a material of it."""
+
+COSTLY, EVERY = ("sheet", "rig"), 7
+"""Routes that only the first of so many rounds has; a colour takes their place in the others."""
 
 
 def _write_calibration(folder: Path) -> None:
