@@ -152,7 +152,7 @@ def _write_calibration(folder: Path) -> None:
 def _heights(random: np.random.Generator, shape: tuple[int, ...]) -> NDArray[np.float32]:
     """Gaussian heights of a random rms slope, um, at a pitch of 1 um."""
     frequencies = np.meshgrid(*map(np.fft.fftfreq, shape), indexing="ij")
-    filtered = np.exp(-((np.pi * random.uniform(3, 8)) ** 2) / 2 * sum(f * f for f in frequencies))
+    filtered = np.exp(-((np.pi * random.uniform(2, 4)) ** 2) / 2 * sum(f * f for f in frequencies))
     height = np.fft.ifftn(np.fft.fftn(random.standard_normal(shape)) * filtered).real
     height *= random.uniform(0.04, 0.3) / np.diff(height).std()
     return np.round(height, 5).astype(np.float32)
