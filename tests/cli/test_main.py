@@ -274,6 +274,7 @@ def test_diff_of_a_folder_without_results_is_one_line_and_exit_2(tmp_path: Path)
         ({"a": "fail", "b": "pass"}, "fail", 1),
         ({"a": "fail"}, "warn", 1),
         ({}, "warn", 0),
+        ({"a": "warn"}, "budget", 0),
     ],
 )
 def test_verdicts_change_the_exit_code_on_request(
@@ -282,6 +283,18 @@ def test_verdicts_change_the_exit_code_on_request(
     summary = Summary(("a",), (), {}, 3, tmp_path / "index.html", 3.2, verdicts=verdicts)
     monkeypatch.setattr("brdfpipe.jobs.build.build", lambda *given, **named: summary)
     assert run("build", tmp_path, *(["--fail-on", fail_on] if fail_on else [])).exit_code == code
+
+
+@pytest.mark.parametrize(("fail_on", "code"), [((), 0), (("fail",), 0), (("budget",), 1), (("fail", "budget"), 1)])
+def test_a_material_over_its_budget_changes_the_exit_code_on_request(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fail_on: tuple[str, ...], code: int
+) -> None:
+    over = (("a", "took 9.0 s; the budget of the scene mine is 2 s"),)
+    summary = Summary(("a",), (), {}, 3, tmp_path / "index.html", 3.2, verdicts={"a": "pass"}, over_budget=over)
+    monkeypatch.setattr("brdfpipe.jobs.build.build", lambda *given, **named: summary)
+    done = run("build", tmp_path, *(word for condition in fail_on for word in ("--fail-on", condition)))
+    assert done.exit_code == code
+    assert "a: took 9.0 s" in done.output
 
 
 def test_the_summary_is_printed_as_json_and_given_to_the_notification(

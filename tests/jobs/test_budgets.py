@@ -25,18 +25,20 @@ model: fullest
 def test_a_build_names_the_materials_that_exceed_the_budget(folder: Path, project: Path, tmp_path: Path) -> None:
     scene = tmp_path / "mine.yaml"
     scene.write_text(f"{SCENE}budget: {{bytes: 10, seconds: 1e-9}}\n")
-    notices = build(folder, tmp_path / "results", cores=2, scene=str(scene)).notices
-    assert [notice.split(":")[0] for notice in notices] == ["first", "first", "second", "second"]
-    assert all("the budget of the scene mine is" in notice for notice in notices)
-    assert [("raise `budget.seconds`" in notice, "largest: " in notice) for notice in notices[:2]] == [
+    summary = build(folder, tmp_path / "results", cores=2, scene=str(scene))
+    assert [name for name, _ in summary.over_budget] == ["first", "first", "second", "second"]
+    sentences = [sentence for _, sentence in summary.over_budget]
+    assert all("the budget of the scene mine is" in sentence for sentence in sentences)
+    assert [("raise `budget.seconds`" in sentence, "largest: " in sentence) for sentence in sentences[:2]] == [
         (True, False),
         (False, True),
     ]
+    assert f"first: {sentences[0]}" in summary.text.splitlines()
     scene.write_text(f"{SCENE}budget: {{bytes: 1e9, seconds: 1e9}}\n")
-    assert build(folder, tmp_path / "results", cores=2, scene=str(scene)).notices == ()
+    assert build(folder, tmp_path / "results", cores=2, scene=str(scene)).over_budget == ()
     for damaged in ("", "[1]", "{}"):
         (tmp_path / "results" / "logs" / "first" / "spectrum.json").write_text(damaged)
-        assert build(folder, tmp_path / "results", cores=2, scene=str(scene)).notices == ()
+        assert build(folder, tmp_path / "results", cores=2, scene=str(scene)).over_budget == ()
 
 
 @pytest.mark.parametrize(

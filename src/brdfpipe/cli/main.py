@@ -2,7 +2,7 @@
 ``compare`` are in :mod:`brdfpipe.cli.tables`, the group ``rig`` in :mod:`brdfpipe.cli.rig`.
 
 Exit codes: 0 every material was built (or is ok), 1 at least one was not, 2 the command, the catalogue or the configuration
-cannot be used, 130 interrupted, 143 terminated. The verdict of a material's checks changes it only with ``--fail-on``.
+cannot be used, 130 interrupted, 143 terminated. The verdict of a material's checks and the budget of its scene change it only with ``--fail-on``.
 """
 
 from __future__ import annotations
@@ -43,9 +43,9 @@ def main() -> None:
 @click.option("--json", "as_json", is_flag=True, help="Print the summary as JSON.")
 @click.option(
     "--fail-on",
-    type=click.Choice(["warn", "fail"]),
-    default=None,
-    help="Exit with 1 also if a material has this verdict or a worse one.",
+    type=click.Choice(["warn", "fail", "budget"]),
+    multiple=True,
+    help="Exit with 1 also if a material has this verdict or a worse one, or exceeds the budget of its scene. May be repeated.",
 )
 @click.option("--notify", default=None, metavar="COMMAND", help="Run afterwards, with the summary (JSON) as its input.")
 @click.option("--profile", default=None, hidden=True)
@@ -59,13 +59,13 @@ def build(
     scene: str | None,
     dry_run: bool,
     as_json: bool,
-    fail_on: str | None,
+    fail_on: tuple[str, ...],
     notify: str | None,
     profile: str | None,
 ) -> int:
     """Build every material of CATALOGUE that changed, and the catalogue page; with NAMEs (* and ? match), these materials alone.
 
-    Exit code: 0 if every material was built, whatever the verdicts of its checks without --fail-on; 1 if one was not; 2 if the
+    Exit code: 0 if every material was built; 1 if one was not, or if --fail-on says so; 2 if the
     catalogue or the configuration cannot be used, or the command of --notify failed.
     """
     import json
@@ -84,7 +84,7 @@ def build(
     )
     plain = json.dumps(summary.plain, indent=1, ensure_ascii=False)
     click.echo(plain if as_json else printable(summary.text))
-    code = 1 if summary.failures or (fail_on and summary.has_verdict(fail_on)) else 0
+    code = 1 if summary.has_failed(fail_on) else 0
     if notify:
         notification.notify(notify, plain)
     return code

@@ -15,8 +15,8 @@ _NAMED_FILES = 3
 """Largest files that are named."""
 
 
-def exceeded(results: Path, catalogue: Catalogue, names: Iterable[str]) -> Iterator[str]:
-    """A sentence for each material that exceeds the budget of its scene, with the results that would have to be given up.
+def exceeded(results: Path, catalogue: Catalogue, names: Iterable[str]) -> Iterator[tuple[str, str]]:
+    """(material, sentence) of each budget of its scene that a material exceeds; the sentence names the results that would have to be given up.
 
     The time is that of the last run of each job, by the clock; both include what the scene shares with others.
     """
@@ -31,8 +31,9 @@ def exceeded(results: Path, catalogue: Catalogue, names: Iterable[str]) -> Itera
             seconds = _cost(subject, costs)
             if seconds > budget["seconds"]:
                 yield (
-                    f"{name}: took {seconds:.1f} s; the budget of the scene {scene.name} is {budget['seconds']:g} s; "
-                    f"{_without(subject, costs, budget['seconds'])}"
+                    name,
+                    f"took {seconds:.1f} s; the budget of the scene {scene.name} is {budget['seconds']:g} s; "
+                    f"{_without(subject, costs, budget['seconds'])}",
                 )
         if "bytes" in budget:
             files = [path for place in places for path in (results / place / name).rglob("*") if path.is_file()]
@@ -41,8 +42,9 @@ def exceeded(results: Path, catalogue: Catalogue, names: Iterable[str]) -> Itera
             if size > budget["bytes"]:
                 largest = sorted(sizes, key=lambda file: -sizes[file])[:_NAMED_FILES]
                 yield (
-                    f"{name}: takes {size} bytes; the budget of the scene {scene.name} is {budget['bytes']}; largest: "
-                    f"{', '.join(f'{file} ({sizes[file]})' for file in largest)}"
+                    name,
+                    f"takes {size} bytes; the budget of the scene {scene.name} is {budget['bytes']}; largest: "
+                    f"{', '.join(f'{file} ({sizes[file]})' for file in largest)}",
                 )
 
 

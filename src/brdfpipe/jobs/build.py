@@ -95,7 +95,7 @@ def build(
     pages = {name: folders[name] / "report.html" for name in verdicts}
     notices = summary.notices(catalogue.folder, deleted, replaced, stale)
     of_scenes = scene_notices(catalogue.scenes, catalogue.config)
-    over = () if dry_run else budgets.exceeded(results, catalogue, built_materials)
+    over_budget = () if dry_run else tuple(budgets.exceeded(results, catalogue, built_materials))
     reasons = {name: f"{entry['stage']}: {entry['message']}" for name, entry in failed_materials.items()}
     page = results / catalogue.scene.folder / "index.html"
     if names:
@@ -112,7 +112,8 @@ def build(
         verdicts={name: verdict for name, (verdict, _) in verdicts.items()},
         fail_reasons={name: reasons for name, (verdict, reasons) in verdicts.items() if verdict == "fail"},
         pages={name: page for name, page in pages.items() if page.exists()},
-        notices=(*of_scenes, *over, *notices),
+        over_budget=over_budget,
+        notices=(*of_scenes, *notices),
     )
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -14,6 +14,8 @@ from brdfpipe.catalogue.catalogue import ignored
 from brdfpipe.errors import BrdfpipeError
 from brdfpipe.jobs.cleanup import STALE
 from brdfpipe.store import opened
+
+_BAD_VERDICTS = {"warn": ("warn", "fail"), "fail": ("fail",)}
 
 _LISTED = 5
 """Names in a notice."""
@@ -40,6 +42,8 @@ class Summary:
     """Built material with the verdict fail → the checks and conditions of the model that failed, with their findings, in one line."""
     pages: Mapping[str, Path] = field(default_factory=dict)
     """Material → its page, where it has one."""
+    over_budget: tuple[tuple[str, str], ...] = ()
+    """(built material, what it took and the budget of its scene), one for each budget that is exceeded."""
     notices: tuple[str, ...] = ()
     """Notices for the user that are no failures."""
 
@@ -51,9 +55,16 @@ class Summary:
             "pages": {name: str(page) for name, page in self.pages.items()},
         }
 
-    def has_verdict(self, worst: str) -> bool:
-        """Whether a material has the verdict ``fail``, or with ``warn`` any verdict but pass."""
-        return any(verdict == "fail" or verdict == worst for verdict in self.verdicts.values())
+    def has_failed(self, conditions: Collection[str] = ()) -> bool:
+        """Whether a material was not built, or meets one of the conditions.
+
+        Parameters
+        ----------
+        conditions : ``fail``, a verdict fail; ``warn``, a verdict other than pass; ``budget``, a material over the budget of its scene
+        """
+        worst = {verdict for word, verdicts in _BAD_VERDICTS.items() if word in conditions for verdict in verdicts}
+        over_budget = "budget" in conditions and bool(self.over_budget)
+        return bool(self.failures) or over_budget or not worst.isdisjoint(self.verdicts.values())
 
     @property
     def text(self) -> str:
@@ -68,8 +79,16 @@ class Summary:
             f"{_count(total, 'material')}: {len(self.built)} built, {len(self.current)} up to date, "
             f"{len(self.failures)} not built ({_count(self.jobs, 'job')} in {self.seconds:.1f} s)"
         )
+        over_budget = [f"{name}: {sentence}" for name, sentence in self.over_budget]
         return "\n".join(
-            [counts, *not_built, *self._verdict_lines, *self.notices, *([f"Open {self.page}"] if self.page else [])]
+            [
+                counts,
+                *not_built,
+                *self._verdict_lines,
+                *over_budget,
+                *self.notices,
+                *([f"Open {self.page}"] if self.page else []),
+            ]
         )
 
     @property
