@@ -1,4 +1,4 @@
-"""The command line: ``brdfpipe build``, ``check``, ``diff``, ``verify``, ``release``, ``prune``, ``scenes`` and ``new``; ``convert`` and
+"""The command line: ``brdfpipe build``, ``check``, ``diff``, ``verify``, ``snapshot``, ``release``, ``prune``, ``scenes`` and ``new``; ``convert`` and
 ``compare`` are in :mod:`brdfpipe.cli.tables`, the group ``rig`` in :mod:`brdfpipe.cli.rig`.
 
 Exit codes: 0 every material was built (or is ok), 1 at least one was not, 2 the command, the catalogue or the configuration
@@ -197,6 +197,25 @@ def diff(older: tuple[Path, ...], new: Path, as_json: bool, html: Path | None) -
         store.write_text(html, changes_page(found, histories(releases), [folder.resolve().name for folder in folders]))
     text = json.dumps(words.plain(found), indent=1, ensure_ascii=False) if as_json else "\n".join(words.lines(found))
     click.echo(text if as_json else printable(text))
+    return 0
+
+
+@main.command(short_help="Keep a copy of RESULTS in FOLDER.")
+@click.argument("results", type=PRESENT)
+@click.argument("folder", type=FOLDER)
+@click.option("--name", default=None, help="Of the copy  [default: its time in UTC]")
+@click.option(
+    "--keep", type=click.IntRange(1), default=None, help="How many copies stay, the last ones  [default: all]"
+)
+@exit_on_error
+def snapshot(results: Path, folder: Path, name: str | None, keep: int | None) -> int:
+    """Keep a copy of RESULTS as they are now in FOLDER, for `brdfpipe diff`; files that did not change since the last copy are stored once."""
+    from brdfpipe.releases.snapshots import take_snapshot
+
+    taken = take_snapshot(results, folder, name=name, keep=keep)
+    click.echo(f"{taken.path}: {taken.copied} files copied, {taken.linked} as in the copy before")
+    for old in taken.deleted:
+        click.echo(f"deleted {folder / old}")
     return 0
 
 
