@@ -184,7 +184,7 @@ QUANTITIES: Mapping[str, Quantity] = {
     "thickness": Quantity("mm", "thickness of a body", 0),
     # BSDF
     "brdf": Quantity("sr-1", "bidirectional reflectance distribution function"),
-    "spectrum_of_xyz": Quantity("1", "recovered reflectance for each unit of the tristimulus values"),
+    "spectrum_of_rgb": Quantity("1", "recovered reflectance of linear sRGB red, green and blue under D65"),
     "brdf_xyz": Quantity("sr-1", "tristimulus values of the BRDF; Y of a perfect white diffuser is 1/π"),
     "directional_albedo": Quantity("1", "directional albedo of the facets' specular reflection", 0, 1 + 1e-9),
     "mean_albedo": Quantity("1", "cosine-weighted mean of the directional albedo", 0, 1 + 1e-9),

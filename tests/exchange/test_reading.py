@@ -13,12 +13,13 @@ import samples
 from brdfpipe import facets
 from brdfpipe.appearance import colours
 from brdfpipe.bsdf import slab
+from brdfpipe.bsdf.checks import check
 from brdfpipe.errors import InputError
 from brdfpipe.exchange import reading
 from brdfpipe.exchange.read_table import ReadTable, as_bsdf
 from brdfpipe.exchange.registry import ExchangeError, write
 from brdfpipe.exchange.text_lines import Lines
-from brdfpipe.spectra.colorimetry import delta_e_00
+from brdfpipe.spectra.colorimetry import delta_e_00, reflectance_to_xyz
 
 THETA_I, THETA_S, PHI_S = np.array([0.0, 30.0, 80.0]), np.linspace(0, 150, 31), np.linspace(0, 180, 19)
 
@@ -148,6 +149,21 @@ def test_the_colour_of_a_file_is_that_of_its_source_for_the_other_observer_too(t
     for observer in (2, 10):
         wanted, found = (colours.colour(one, ["45:0"], "D65", observer).values for one in (red, back))
         assert delta_e_00(wanted, found).max() < 1.5
+
+
+def test_colours_outside_srgb_keep_their_luminance_at_every_direction_and_in_the_reflectance():
+    """A deep red has a negative green value. Its spectra are cut off at 0 in no direction, so that the reflectance is their integral."""
+    axes = {"theta_i": np.linspace(0, 80, 5), "theta_o": np.linspace(0, 85, 18), "phi_o": np.linspace(0, 180, 19)}
+    lobe = np.exp(-np.square(axes["theta_o"] / 30))[None, :, None, None] * np.ones((5, 1, 19, 1))
+    rgb = lobe * [0.25, -0.01, 0.05] + (1 - lobe) * [0.05, 0.02, 0.02]
+    found = as_bsdf(ReadTable("uniform", axes, rgb, channels="rgb"), Path("x"))
+    verdicts = json.loads(check(found).attrs["verdicts"])
+    assert {name: verdicts[name]["verdict"] for name in ("energy", "positivity", "integral")} == dict.fromkeys(
+        ("energy", "positivity", "integral"), "pass"
+    )
+    spectral, luminous = found.bsdf.albedo([10.0, 45.0]), found.bsdf.nonspectral().bsdf.albedo([10.0, 45.0])
+    y = reflectance_to_xyz(found["wavelength"].values, spectral.values, "D65", 2)[:, 1] / 100
+    assert y == pytest.approx(luminous.values, rel=1e-6)
 
 
 def test_a_grey_file_is_grey():

@@ -132,10 +132,10 @@ def _spectrum_limits(datasets: Datasets) -> Iterator[str]:
 def _colour_limits_of_file(bsdf: xr.Dataset) -> Iterator[str]:
     if "wavelength" not in bsdf.coords:
         yield "The file has no colour: its values hold at all wavelengths, and the colours are those of a grey."
-    elif "spectrum_of_xyz" in bsdf:
+    elif "spectrum_of_rgb" in bsdf:
         yield (
             f"The file has colours, no spectra. They are exact under {bsdf.attrs['illuminant']} for the {bsdf.attrs['observer']}° observer. "
-            "Under other lights and for the other observer they follow from the smoothest spectra of these colours."
+            "Under other lights and for the other observer they follow from smooth spectra of these colours; of colours outside sRGB these are paler."
         )
 
 

@@ -19,7 +19,7 @@ from brdfpipe.bsdf.representations.table import Table
 from brdfpipe.errors import InputError
 from brdfpipe.geometry import Array
 from brdfpipe.spectra import colorimetry
-from brdfpipe.spectra.linear_recovery import spectra_of_tristimulus
+from brdfpipe.spectra.linear_recovery import spectra_of_primaries
 
 Channels = Literal["photopic", "xyz", "rgb", "spectral"]
 
@@ -117,9 +117,9 @@ def as_bsdf(read: ReadTable, path: Path) -> xr.Dataset:
         has_colours = read.channels == "xyz"
         table["brdf"] = names, values[..., 1 if has_colours else 0]
         if has_colours:
-            table = table.assign_coords(wavelength=colorimetry.GRID, component=["X", "Y", "Z"])
+            table = table.assign_coords(wavelength=colorimetry.GRID, component=["X", "Y", "Z"], channel=["R", "G", "B"])
             table["brdf_xyz"] = (*names, "component"), values
-            table["spectrum_of_xyz"] = ("wavelength", "component"), spectra_of_tristimulus("D65", 2)
+            table["spectrum_of_rgb"] = ("wavelength", "channel"), spectra_of_primaries()
             table = table.assign_attrs(illuminant="D65", observer=2)
     table["brdf_quality"] = names, quality
     if read.uncertainty is not None:
@@ -130,7 +130,7 @@ def as_bsdf(read: ReadTable, path: Path) -> xr.Dataset:
     if "theta_o" in read.axes and read.axes["theta_o"][-1] > 90:
         table.attrs["transmission"] = "slab"
     table = vocabulary.label(table, "bsdf")
-    luminous = table.drop_dims(["wavelength", "component"]) if "brdf_xyz" in table else table
+    luminous = table.drop_dims(["wavelength", "component", "channel"]) if "brdf_xyz" in table else table
     warnings += _declared(read, luminous) + _reciprocity(luminous) + _incidences(read)
     if read.side == "transmission":
         table = table.assign_attrs(side="transmission", transmission="slab")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import cached_property
 
 import numpy as np
 import xarray as xr
@@ -13,6 +14,7 @@ from brdfpipe.bsdf.grids import AZIMUTHS, GRIDS, Grid, layout_of
 from brdfpipe.bsdf.spectral import at_wavelengths, per_wavelength
 from brdfpipe.geometry import Array, as_numbers
 from brdfpipe.hemisphere import panel_rule
+from brdfpipe.spectra.linear_recovery import amounts
 
 AXES = GRIDS["uniform"].axes
 """Dimensions of a uniform table of an isotropic BSDF; phi_o is relative to the azimuth of incidence."""
@@ -39,7 +41,7 @@ class Table(Representation):
             "brdf_u": _NODES,
             "brdf_quality": [nodes for nodes in _NODES if "wavelength" not in nodes],
             "brdf_xyz": [(*nodes, "component") for nodes in _NODES if "wavelength" not in nodes],
-            "spectrum_of_xyz": [("wavelength", "component")],
+            "spectrum_of_rgb": [("wavelength", "channel")],
             "total_reflectance": vocabulary.SPECTRAL,
             "theta_m": vocabulary.SCALAR,
         },
@@ -54,8 +56,12 @@ class Table(Representation):
         self._folded_over = dataset.attrs.get("side") == "transmission"
         self._names = names = grid.named(grid.azimuth in brdf.dims)
         self._axes = axes = {name: dataset[name].values for name in names}
-        self._has_colours = "spectrum_of_xyz" in dataset
-        stored = (dataset["brdf_xyz"] if self._has_colours else brdf).transpose(*names, ...)
+        self._has_colours = "spectrum_of_rgb" in dataset
+        stored = (
+            brdf.transpose(*names, ...)
+            if not self._has_colours
+            else xr.DataArray(amounts(dataset["brdf_xyz"].transpose(*names, ...).values), dims=(*names, "channel"))
+        )
         self._values = per_wavelength(lambda wavelength: _stored_values(stored, wavelength))
         self._interpolators = per_wavelength(
             lambda wavelength: _interpolators_by_side(grid, axes, _stored_values(stored, wavelength))
@@ -72,10 +78,24 @@ class Table(Representation):
     def _interpolated(
         self, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array, wavelength: Array | None
     ) -> Array:
-        """As :meth:`evaluate`, or X, Y and Z of a table of colours, (directions…, 3)."""
+        """As :meth:`evaluate`, or the amounts of red, green and blue of a table of colours, (directions…, 3)."""
+        wavelength = None if self._has_colours else wavelength
+        return self._between(
+            self._interpolators(wavelength), self._values(wavelength).shape[-1], theta_i, phi_i, theta_o, phi_o
+        )
+
+    def _between(
+        self,
+        interpolators: Mapping[tuple[int, int], Interpolate],
+        width: int,
+        theta_i: Array,
+        phi_i: Array,
+        theta_o: Array,
+        phi_o: Array,
+    ) -> Array:
+        """Interpolated values (directions…, width)."""
         if self._folded_over:
             theta_o = 180 - theta_o
-        interpolators, width = self._interpolators(wavelength), self._values(wavelength).shape[-1]
         one = as_numbers(theta_i, phi_i, theta_o, phi_o)
         if one is not None:
             side = interpolators.get((int(np.sign(90 - one[0])), int(np.sign(90 - one[2]))))
@@ -100,14 +120,20 @@ class Table(Representation):
         given = self.dataset.attrs.get("illuminant"), self.dataset.attrs.get("observer")
         if not self._has_colours or given != (illuminant, observer):
             return None
-        return self._interpolated(theta_i, phi_i, theta_o, phi_o, None) * 100 * np.pi
+        return self._between(self._tristimulus_interpolators, 3, theta_i, phi_i, theta_o, phi_o) * 100 * np.pi
+
+    @cached_property
+    def _tristimulus_interpolators(self) -> dict[tuple[int, int], Interpolate]:
+        values = self.dataset["brdf_xyz"].transpose(*self._names, ...).values
+        return _interpolators_by_side(self._grid, self._axes, values)
 
     def _by_wavelength(self, values: Array, wavelength: Array | None) -> Array:
-        """Values (…, 3) of a table of colours as a recovered spectrum (…, wavelength), which is never negative; those of other tables as they are."""
+        """Amounts (…, 3) of a table of colours as a recovered spectrum (…, wavelength); values of other tables as they are."""
         if not self._has_colours:
             return values
-        spectra = at_wavelengths(self.dataset["spectrum_of_xyz"].transpose("component", "wavelength"), wavelength)
-        return np.maximum(values @ spectra, 0.0)
+        return np.asarray(
+            values @ at_wavelengths(self.dataset["spectrum_of_rgb"].transpose("channel", "wavelength"), wavelength)
+        )
 
     def albedo(self, theta_i: Array, phi_i: Array, wavelength: Array | None) -> Array:
         """Directional reflectance [1], (incidences…, wavelength); for a uniform table the exact integral of its interpolation.
@@ -117,7 +143,8 @@ class Table(Representation):
         if self.albedo_needs_quadrature:
             return super().albedo(theta_i, phi_i, wavelength)
         weights = _polar_weights(self._axes["theta_o"]), _azimuth_weights(self._axes["phi_o"])
-        sums = np.einsum("...opw,o,p->...w", self._values(wavelength), *weights)
+        values = self._values(None if self._has_colours else wavelength)
+        sums = np.einsum("...opw,o,p->...w", values, *weights)
         incidence = {"theta_i": theta_i.ravel(), "phi_i": np.broadcast_to(phi_i, theta_i.shape).ravel()}
         names = self._names[:-2]
         coordinates = self._folded(names, incidence)
@@ -160,7 +187,7 @@ class Table(Representation):
 
     def nonspectral(self, weight: Array) -> xr.Dataset:
         if self._has_colours:
-            return vocabulary.label(self.dataset.drop_dims(["wavelength", "component"]), "bsdf")
+            return vocabulary.label(self.dataset.drop_dims(["wavelength", "component", "channel"]), "bsdf")
         response = xr.DataArray(weight, dims="wavelength")
         fields = {name: data @ response for name, data in self.dataset.data_vars.items() if "wavelength" in data.dims}
         return vocabulary.label(self.dataset.drop_dims("wavelength").assign(fields), "bsdf")
@@ -184,9 +211,9 @@ Interpolate = Callable[[Sequence[Array]], Array]
 
 
 def _stored_values(field: xr.DataArray, wavelength: Array | None) -> Array:
-    """(nodes…, wavelength), or (nodes…, 3) of X, Y and Z."""
+    """(nodes…, wavelength), or (nodes…, 3) of amounts of red, green and blue."""
     values = at_wavelengths(field, wavelength)
-    return values if {"wavelength", "component"} & set(field.dims) else values[..., None]
+    return values if {"wavelength", "channel"} & set(field.dims) else values[..., None]
 
 
 def _interpolators_by_side(grid: Grid, axes: Mapping[str, Array], values: Array) -> dict[tuple[int, int], Interpolate]:
