@@ -72,7 +72,8 @@ def test_a_byte_order_mark_is_no_error(path: Path) -> None:
         ("count: 1\npair: []\nunits: []", "a.yaml, line 1: `units` and `pair` exclude each other; accepted: either `units` or `pair`"),
         ("# count: 1", "a.yaml: the key 'count' is missing; accepted: a number from 1 to 9"),
         ("", "a.yaml: empty; accepted: keys and values"),
-        ("1: 2", "a.yaml, line 1: a key is not plain text; accepted: a word before the colon"),
+        ("1.5: 2", "a.yaml, line 1: a key is not plain text; accepted: a word before the colon"),
+        ("count: 1\n60: 2", "a.yaml, line 2: unknown key '60'; accepted: count, colour, title, part, units, pair"),
     ],
 )  # fmt: skip
 def test_a_wrong_document_is_refused_in_one_line(path: Path, text: str, message: str) -> None:
@@ -93,7 +94,7 @@ FINISH = "surface: {distribution: flat}\n"
         (FINISH + "index: {file: a, unit: nm}", "line 2, index: unknown key 'unit'; accepted: file"),
         ("surface: {slope_rms: 0.1}\nindex: PP", "line 1, surface: unknown key 'slope_rms'; .*; or distribution, a, slope_rms"),
         (FINISH + "index: PP\nrecipe: crf", "line 3: unknown key 'recipe'; it belongs to `model`: `model: {recipe: …}`; accepted"),
-        (FINISH + "index: PP\nlab: [30, 1, 1]", "line 3: unknown key 'lab'; it belongs to `spectrum`: `spectrum: {lab: …}`"),
+        (FINISH + "index: PP\nlab: [30, 1, 1]", "line 3: unknown key 'lab'; it belongs to `spectrum`, `measured`; accepted"),
         (FINISH + "index: PP\nform: plane", "line 3: unknown key 'form'; it belongs to `surface`, `multiangle`; accepted"),
         (FINISH + "index: PP\nspectrun: {}", "line 3: unknown key 'spectrun'; did you mean 'spectrum'?; accepted"),
     ],

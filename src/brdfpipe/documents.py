@@ -21,6 +21,8 @@ MAX_DEPTH = 40
 DECIMAL_POINT = " (numbers take a decimal point, not a comma)"
 """Hint for messages."""
 
+_WHOLE = re.compile("[1-9][0-9]*")
+
 Lines = dict[tuple[str | int, ...], int]
 """Key path → line of the document, for messages."""
 
@@ -172,6 +174,8 @@ def _refuse_unsafe(path: Path, node: yaml.Node, keys: tuple[str | int, ...], lin
         seen_keys: set[str] = set()
         for key, value in node.value:
             at = f"line {key.start_mark.line + 1}"
+            if key.tag == "tag:yaml.org,2002:int" and value.value and _WHOLE.fullmatch(key.value):
+                key.tag = "tag:yaml.org,2002:str"  # the name of a geometry, as `gloss: {60: 22.4}`
             if key.tag != "tag:yaml.org,2002:str":
                 is_number = key.tag == "tag:yaml.org,2002:int" and not value.value
                 accepted = f"a word before the colon{DECIMAL_POINT if is_number else ''}"

@@ -815,6 +815,12 @@ _STAGES = (
         minutes=1,
     ),
     Stage(
+        "readings",
+        "readings of instruments beside what the BSDF predicts of them",
+        when=_has("measured") & _asked("comparison"),
+        keys=_keys("measured"),
+    ),
+    Stage(
         "preview",
         "a picture of the material",
         when=_enabled("preview") & _asked("preview"),

@@ -407,6 +407,10 @@ QUANTITIES: Mapping[str, Quantity] = {
     "z": Quantity(
         "1", "measured less modelled value over the standard uncertainty; missing where not used", missing=True
     ),
+    "read_value": Quantity("1", "reading of an instrument, in the unit of the reading"),
+    "read_u": Quantity("1", "standard uncertainty of a reading", 0),
+    "predicted_value": Quantity("1", "what the BSDF predicts of a reading; missing where it does not", missing=True),
+    "predicted_u": Quantity("1", "standard uncertainty of it; missing where not known", 0, missing=True),
     "median_ratio": Quantity("1", "median of measured over modelled value over cells and wavelengths", missing=True),
     "rms_z": Quantity("1", "root mean square of z over cells and wavelengths", 0, missing=True),
     "seen_reflectance": Quantity("1", "share of the light that leaves into the directions of the cells used"),
@@ -649,6 +653,10 @@ KINDS: Mapping[str, Kind] = {
         },
         attributes=("findings",),
         missing=("brdf",),
+    ),
+    "readings": Kind(
+        {name: [("reading",)] for name in ("read_value", "read_u", "predicted_value", "predicted_u", "z")},
+        attributes=("verdicts", "units_of_readings", "not_predicted"),
     ),
     "model_error": Kind(
         required={

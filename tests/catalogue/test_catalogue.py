@@ -623,6 +623,34 @@ def test_a_wrong_geometry_in_the_description_is_found_by_the_check(tmp_path: Pat
         catalogue.check_formats(catalogue.load(tmp_path)["m"])
 
 
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [
+        ("measured: {gloss: {60: many}}", r"measured\.gloss\.60: not an accepted value; found 'many'"),
+        ("measured: {gloss: {45: 10}}", r"measured\.gloss: unknown key '45'.*; accepted: 20, 60, 85"),
+        ("measured: {gloss: {}}", "no gloss reading; accepted: at least one of `20`, `60`, `85`"),
+        ("measured: {instrument: x}", "no reading; accepted: at least one of `gloss`"),
+        ("measured: {gloss: {60: 1}, uncertainty: {gloss: 0}}", "found 0; accepted: .* above 0"),
+        ("measured: {gloss: {60: 1}, date: May}", r"measured\.date: not an accepted value"),
+        ("measured: {lab: [{geometry: '45az75', lab: [1, 1, 1]}]}", r"measured\.lab\.0\.geometry: .*unknown geometry"),
+        ("measured: {lab: [{geometry: '45:0', lab: [1, 1, 1], illuminant: D56}]}", "unknown illuminant 'D56'"),
+    ],
+)
+def test_a_wrong_reading_is_refused_by_its_key(tmp_path: Path, text: str, problem: str) -> None:
+    folder = write(tmp_path, "m", COLOUR + text)
+    with pytest.raises(InputError, match=problem):
+        catalogue.check_formats(catalogue.load_material(folder, catalogue.load_config()))
+
+
+def test_a_reading_has_a_geometry_a_day_and_default_uncertainties(tmp_path: Path) -> None:
+    text = "measured: {gloss: {20: 3, 60: 22.4}, lab: [{geometry: '45:0', lab: [1, 2, 3]}], date: 2026-01-31}\n"
+    content = catalogue.load_material(write(tmp_path, "m", COLOUR + text), catalogue.load_config()).content["measured"]
+    assert content["gloss"] == {"20": 3, "60": 22.4}
+    assert content["date"] == "2026-01-31"
+    assert content["lab"] == [{"geometry": "45:0", "lab": [1, 2, 3], "illuminant": "D65", "observer": 10}]
+    assert content["uncertainty"] == {"reflectance_haze": 1.0, "lab": 0.5, "transmittance": 0.005}
+
+
 def test_a_configuration_may_say_only_what_differs(tmp_path: Path) -> None:
     own = tmp_path / "own.yaml"
     own.write_text("illuminant: A\n")

@@ -55,6 +55,14 @@ use rule stage_template as appearance with:
         appearance="{scene}{material}/appearance.nc",
 
 
+use rule stage_template as readings with:
+    input:
+        **results_of("bsdf"),
+    output:
+        readings="{scene}{material}/readings.nc",
+        csv="{scene}{material}/exports/{material}.readings.csv",
+
+
 use rule stage_template as preview with:
     input:
         **results_of("bsdf"),

@@ -67,6 +67,8 @@ class AppearanceQuantity:
     """Whether the tile shows a share in percent."""
     significant: int = 0
     """Significant digits of the tile, for values that span decades; 0: as many decimals as in the catalogue."""
+    appended: bool = False
+    """Whether its column stands at the end of ``catalogue.csv``, behind the older ones, which keep their places."""
     on_request: bool = False
     """Whether it is computed only where a scene asks for it, and is a column of the catalogue only there."""
 
@@ -295,6 +297,22 @@ _FLOP = Applicability(
 )
 
 
+_READINGS = Applicability(
+    "readings",
+    "materials with `measured`",
+    lambda datasets: (
+        "" if "readings" in datasets else "No reading of an instrument is given. Set `measured` in material.yaml."
+    ),
+    blank=True,
+)
+
+
+def _furthest_z(datasets: Datasets) -> float:
+    """z of the reading that is furthest from its prediction; NaN where none is predicted."""
+    known = [z for z in datasets["readings"]["z"].values.tolist() if math.isfinite(z)]
+    return max(known, key=abs, default=math.nan)
+
+
 def _gloss_hint(standard: str, *angles: float) -> Callable[[Datasets], str]:
     return lambda datasets: f"{standard}-style{basis_note(datasets.get('appearance'), *angles)}"
 
@@ -376,6 +394,11 @@ for _quantity in (
     AppearanceQuantity(
         "anisotropy", "Anisotropy", "", "1", 2, read=_scalar("facets", "bsdf", names=("anisotropy",)),
         hint=_of_inputs(_lay_words), significant=3,
+    ),
+    AppearanceQuantity(
+        "reading_z", "Readings, z", "z", "1", 1,
+        "of the reading of an instrument that is furthest from its prediction: the difference over the standard uncertainty of both",
+        read=_furthest_z, applicability=_READINGS, hint="read less predicted, over u", appended=True,
     ),
     AppearanceQuantity(
         "veiling_luminance", "Veiling luminance", "L", "cd m-2", 0,

@@ -1,4 +1,4 @@
-"""Verdicts of a material: those of its checks and its table, and ``warn`` for every stage with a warning.
+"""Verdicts of a material: those of its checks, its table and its readings, and ``warn`` for every stage with a warning.
 
 The checks judge the BRDF alone. They pass a BRDF from a scan that hardly resolves its facets; the warning of the facets stage says so.
 """
@@ -40,7 +40,7 @@ class Verdict:
 
 
 def verdicts(datasets: Datasets, accepted: Acceptances = ()) -> list[Verdict]:
-    """Verdicts of the checks and of the table, ``warn`` for every stage that the BRDF rests on and that has a warning, and ``warn`` or
+    """Verdicts of the checks, of the table and of readings, ``warn`` for every stage that the BRDF rests on and that has a warning, and ``warn`` or
     ``fail`` for every condition of the model that the surface meets in part, or does not meet.
 
     A ``warn`` that the description accepts is :data:`ACCEPTED`, with the reason; ``fail`` cannot be accepted. An acceptance without a
@@ -69,9 +69,9 @@ def overall(datasets: Datasets, accepted: Acceptances = ()) -> tuple[str, list[V
 
 
 def check_verdicts(datasets: Datasets) -> list[Verdict]:
-    """Verdicts of the checks and of the table."""
+    """Verdicts of the checks, of the table and of readings of instruments."""
     results: dict[str, Verdict] = {}
-    for dataset in (datasets[stage] for stage in ("checks", "table") if stage in datasets):
+    for dataset in (datasets[stage] for stage in ("checks", "table", "readings") if stage in datasets):
         for name, entry in json_object(dataset.attrs.get("verdicts")).items():
             outcome = entry if isinstance(entry, dict) else {"verdict": entry}
             verdict, text = (str(outcome.get(key, "")) for key in ("verdict", "text"))

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 from brdfpipe.catalogue.configuration import check_illuminant
 from brdfpipe.catalogue.material import Material, raw_files
 from brdfpipe.catalogue.material_keys import MultiangleColours
 from brdfpipe.catalogue.names import DESCRIPTION
-from brdfpipe.errors import InputError
+from brdfpipe.errors import BrdfpipeError, InputError
 from brdfpipe.file_formats import extensions
 
 
@@ -15,7 +18,7 @@ def check_formats(material: Material) -> None:
 
     Raises
     ------
-    InputError : an empty file, an extension without a reader, an unknown plastic or illuminant.
+    InputError : an empty file, an extension without a reader, an unknown plastic, illuminant or geometry of a reading.
     """
     from brdfpipe.columns import TEXT_SUFFIXES
     from brdfpipe.exchange.reading import format_of
@@ -54,8 +57,24 @@ def check_formats(material: Material) -> None:
         refractive_index(content["index"])
     if "illuminant" in content.get("spectrum", {}):
         check_illuminant(material.folder / DESCRIPTION, content["spectrum"]["illuminant"], "spectrum.illuminant")
+    for number, colour in enumerate(content.get("measured", {}).get("lab", [])):
+        _check_reading(material, number, colour)
     if "colours" in content.get("multiangle", {}):
         from brdfpipe.flakes.reading import check_colours
 
         measured = MultiangleColours.read_by("multiangle")
         check_colours({key: value for key, value in content["multiangle"].items() if key in measured})
+
+
+def _check_reading(material: Material, number: int, colour: Mapping[str, Any]) -> None:
+    from brdfpipe.appearance.colours import TOTAL
+    from brdfpipe.flakes.geometries import directions
+
+    where = f"measured.lab.{number}"
+    check_illuminant(material.folder / DESCRIPTION, colour["illuminant"], f"{where}.illuminant")
+    if colour["geometry"] == TOTAL:
+        return
+    try:
+        directions(colour["geometry"])
+    except BrdfpipeError as error:
+        raise InputError(material.folder / DESCRIPTION, str(error), where=f"{where}.geometry") from None

@@ -13,6 +13,7 @@ from brdfpipe import installation
 from brdfpipe.appearance.quantities import docs_table
 from brdfpipe.catalogue import calibration_keys, material_keys
 from brdfpipe.catalogue.config_keys import Config
+from brdfpipe.catalogue.reading_keys import MeasuredReadings
 from brdfpipe.descriptions import rendering
 from brdfpipe.file_formats import FileFormat
 from brdfpipe.masking.modes import MODEL_DEFAULTS, OPTICS, TRUTHS
@@ -103,6 +104,9 @@ slab: {{thickness: 2, internal_transmittance: 0.95, transmittance_uncertainty: 0
 # … or with an absorption coefficient.
 slab: {{thickness: 2, absorption: {{file: absorption.txt, unit: 1/mm}}}}
 
+# Readings of the laboratory's own instruments, beside which the prediction is put.
+measured: {{gloss: {{20: 3.1, 60: 22.4, 85: 48}}, instrument: hand-held gloss meter, date: 2026-01-31}}
+
 # How the reflection is modelled, where the defaults do not fit; docs/model.md says what each choice breaks.
 model: {rendering.flow({"optics": OPTICS[0], **MODEL_DEFAULTS, "truth": TRUTHS[0]})}
 
@@ -139,6 +143,7 @@ def key_tables() -> dict[str, dict[str, str]]:
             "spectrum": rendering.table(keys.Spectrum, "spectrum."),
             "slab": rendering.table(keys.Slab, "slab.", nested=False),
             "multiangle": rendering.table(keys.Multiangle, "multiangle."),
+            "measured": rendering.table(MeasuredReadings, "measured."),
             "table": rendering.table(keys.TableFile, "table."),
             "model": rendering.table(keys.Model, "model."),
             "config": rendering.table(Config),

@@ -9,6 +9,7 @@ from typing import Annotated, Any, Self
 
 from pydantic import Field, Strict, model_validator
 
+from brdfpipe.catalogue.reading_keys import MeasuredReadings
 from brdfpipe.descriptions.keys import (
     NAME,
     NAME_WORDS,
@@ -896,6 +897,10 @@ class Material(Keys):
     multiangle: Multiangle = key(
         "colours of an effect paint at several geometries {file or colours, illuminant, observer, index, form, …}",
         details="See [effect pigments](#effect-pigments).",
+    )
+    measured: MeasuredReadings = key(
+        "readings of the laboratory's own instruments, which are compared with the prediction {gloss, haze, lab, …, uncertainty, instrument, date}",
+        details="See [readings](#readings).",
     )
     table: TableFile = key(
         "a table of the BSDF, from another program or instrument {file, format, quantity}",

@@ -121,7 +121,8 @@ class Keys(BaseModel):
 
     @model_validator(mode="after")
     def _check_required_keys(self) -> Keys:
-        given = self.model_fields_set
+        fields = type(self).model_fields
+        given = {fields[name].alias or name for name in self.model_fields_set}
         if self.at_least_one and not given & set(self.at_least_one):
             listed = ", ".join(f"`{name}`" for name in self.at_least_one)
             accepted = f"at least one of {listed} (lines that start with # do not count)"

@@ -31,7 +31,7 @@ _RESULTS = (
         "uncertainty",
         "standard uncertainties of the BRDF, gloss, haze, colours and transmission from the inputs of the BRDF and its model",
     ),
-    Result("comparison", "the measured BRDF of a camera rig beside the predicted one"),
+    Result("comparison", "the measured BRDF of a camera rig, and readings of instruments, beside the predicted ones"),
     Result("table", "the BRDF on a grid of directions"),
     Result("lambert_gauss", "the parameters of a Lambert and Gauss model"),
     Result("preview", "a picture of the material"),

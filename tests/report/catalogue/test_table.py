@@ -8,6 +8,7 @@ from catalogue_rows import FAILURES, Datasets
 from catalogue_rows import row as _row
 from catalogue_rows import table as _table
 
+from brdfpipe.appearance.quantities import quantities
 from brdfpipe.report import catalogue_csv, combine, lock
 
 
@@ -59,3 +60,23 @@ def test_rounding_errors_of_zero_are_zero_in_the_table(full: Datasets) -> None:
         0
     ]
     assert [line[name] for name in "Lab"] == ["50", "0", "0"]
+
+
+def test_newer_columns_stand_behind_the_older_ones(full: Datasets) -> None:
+    (header, *_) = catalogue_csv(combine([_row(full, "a")]), {}).splitlines()
+    names = header.split(",")
+    older = names[: names.index("message") + 1]
+    assert older[:8] == [
+        "material",
+        "status",
+        "route",
+        "basis",
+        "verdict",
+        "verdict_checks",
+        "verdict_text",
+        "warnings",
+    ]
+    assert older[-5:] == ["uncertainty_not_stated", "srgb", "description", "stage", "message"]
+    newer = {column for one in quantities() if one.appended for column in (one.name, one.u_name) if column}
+    assert newer == set(names[len(older) :])
+    assert newer

@@ -202,9 +202,12 @@ def catalogue_csv(catalogue: xr.Dataset, failures: Mapping[str, Mapping[str, str
     columns["uncertainty_not_stated"] = texts(catalogue, "uncertainty_not_stated")
     columns["srgb"] = [colour(channels) or "" for channels in catalogue["srgb"].values]
     columns["description"] = texts(catalogue, "description")
+    later = {column for one in quantities() if one.appended for column in (one.name, one.u_name)}
     rows = [{"status": "built", **dict(zip(columns, row, strict=True))} for row in zip(*columns.values(), strict=True)]
     rows += [{"material": name, "status": "failed", **failure} for name, failure in failures.items()]
     header = ["material", "status", *list(columns)[1:], "stage", "message"]
+    # Older columns keep their places.
+    header.sort(key=lambda name: name in later)
     stream = StringIO()
     writer = csv.DictWriter(stream, header, extrasaction="ignore", lineterminator="\n")
     writer.writeheader()

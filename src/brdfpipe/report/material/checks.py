@@ -53,6 +53,8 @@ def exports_table(datasets: Mapping[str, xr.Dataset], name: str, formats: Collec
     ]
     if "lambert_gauss" in datasets:
         rows.append((f"{name}.lambert_gauss.csv", "reflection", "parameters of the Lambert + Gauss fit", ""))
+    if "readings" in datasets:
+        rows.append((f"{name}.readings.csv", "", "readings of instruments beside their predictions", ""))
     note = "In the folder `exports`. A `.json` beside a file states the error of the file against the BSDF."
     return Table("Exported files", ("Files", "Side", "Description", "Not in the file"), rows, note) if rows else None
 

@@ -27,6 +27,7 @@ from brdfpipe.report.material.head import key_numbers, picture
 from brdfpipe.report.material.inputs import effect_pigment_section, facet_section, spectrum_section, surface_section
 from brdfpipe.report.material.model_error import model_error_section
 from brdfpipe.report.material.plan import choice_words, plan_section
+from brdfpipe.report.material.readings import readings_section
 from brdfpipe.report.material.reflection import lambert_gauss_section, reflection_section
 from brdfpipe.report.material.roughness import roughness_section
 from brdfpipe.report.rendering import material_name, own_stages, render
@@ -69,6 +70,7 @@ def material_page(
         plan_section(known),
     ]
     sections = [
+        readings_section(known),
         reflection_section(known),
         colour_section(known),
         *([] if measured else inputs),
