@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import PurePath
+from typing import Any
 
 _MISLEADING = re.compile(
     "[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069\ud800-\udfff]"
@@ -54,6 +55,7 @@ class InputError(BrdfpipeError):
     where : line, channel or key inside the file
     found, accepted : the value, and the accepted values
     key : the key of ``material.yaml`` to set
+    option : what to give on the command line, where that is the door and not ``material.yaml``
     others : messages on further problems of the same file, which the message does not repeat
     """
 
@@ -66,6 +68,7 @@ class InputError(BrdfpipeError):
         found: object = None,
         accepted: str | None = None,
         key: str | None = None,
+        option: str | None = None,
         others: Sequence[str] = (),
     ) -> None:
         self.file = PurePath(file).name or str(file) or "."
@@ -74,18 +77,28 @@ class InputError(BrdfpipeError):
         self.found = found
         self.accepted = accepted
         self.key = key
+        self.option = option
         self.others = tuple(others)
         message = f"{self.file}, {where}: {problem}" if where else f"{self.file}: {problem}"
         if found is not None:
             message += f"; found {found}"
         if accepted is not None:
             message += f"; accepted: {accepted}"
-        if key is not None:
+        if option is not None:
+            message += f"; give {option}"
+        elif key is not None:
             message += f"; set `{key}` in material.yaml"
         super().__init__(printable(message))
 
     def __reduce__(self) -> tuple[object, ...]:
         # Workers pickle errors; by default only the message would be restored.
-        named = {name: getattr(self, name) for name in ("where", "found", "accepted", "key", "others")}
-        rebuild = partial(InputError, **named)
-        return rebuild, (self.file, self.problem)
+        return partial(InputError, **self._named()), (self.file, self.problem)
+
+    def at_command_line(self, options: Mapping[str, str]) -> InputError:
+        """The same error with an option of a command in place of the key; ``options`` is key → option, without those that have none."""
+        named = self._named() | {"key": None, "option": options.get(self.key or "")}
+        return InputError(self.file, self.problem, **named)
+
+    def _named(self) -> dict[str, Any]:
+        names = ("where", "found", "accepted", "key", "option", "others")
+        return {name: getattr(self, name) for name in names}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -53,6 +54,10 @@ def test_a_one_sided_lobe_is_not_reciprocal():
     table["brdf"] = table["brdf"] * (1 + table["theta_i"] / 90)
     table["brdf"].attrs = {"units": "sr-1"}
     assert verdicts(table)["reciprocity"] == "warn"
+    assert re.search(r"differ by at most \d{2}% of their mean, between", texts(table)["reciprocity"])
+    dark = table.copy(deep=True)
+    dark["brdf"][4:] = 0.0
+    assert "differ by at most 200% of their mean (one is without light), between" in texts(dark)["reciprocity"]
 
 
 def test_a_negative_value_fails():

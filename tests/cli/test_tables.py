@@ -11,6 +11,7 @@ from click.testing import CliRunner, Result
 
 from brdfpipe import store
 from brdfpipe.cli.main import main
+from brdfpipe.exchange.registry import FORMATS
 
 
 @pytest.fixture(scope="module")
@@ -36,7 +37,7 @@ def test_convert_states_the_error_and_what_is_left_out(saved: Path, tmp_path: Pa
 def test_an_error_above_the_tolerance_names_the_option(saved: Path, tmp_path: Path) -> None:
     found = run("convert", saved, tmp_path / "grain.zemax.bsdf", "--tolerance", 1e-4, "--largest", 2000)
     assert found.exit_code == 0, found.output
-    assert "MORE than the tolerance: raise --largest" in found.output
+    assert "MORE than the tolerance: allow more values by the option `largest`" in found.output
 
 
 def test_wavelengths_and_options_of_the_format(saved: Path, tmp_path: Path) -> None:
@@ -93,14 +94,67 @@ def test_compare_finds_the_stated_error(saved: Path, tmp_path: Path) -> None:
     assert f"95th percentile {figures['percentile_95']:.2%}" in text
 
 
-def test_a_file_that_is_no_bsdf_is_one_error(tmp_path: Path) -> None:
+def test_a_file_that_is_no_bsdf_is_one_error_that_names_the_option(saved: Path, tmp_path: Path) -> None:
     path = tmp_path / "a.bsdf"
     path.write_text("nothing\n")
-    found = run("convert", path, tmp_path / "b.nc")
-    assert found.exit_code == 2
-    assert "Traceback" not in found.output
-    assert "a.bsdf" in found.output
+    commands = {
+        "--from": ("convert", path, tmp_path / "b.nc"),
+        "--first-from": ("compare", path, saved),
+        "--second-from": ("compare", saved, path),
+    }
+    for option, words in commands.items():
+        found = run(*words)
+        assert found.exit_code == 2
+        assert "Traceback" not in found.output
+        assert (
+            f"a.bsdf: no format has such files; found .bsdf; accepted: a format that is read; `brdfpipe formats` lists the formats; give {option}"
+            in found.output
+        )
+        assert "material.yaml" not in found.output
     assert not (tmp_path / "b.nc").exists()
+
+
+def test_formats_and_quantities_of_both_files_can_be_stated(saved: Path, tmp_path: Path) -> None:
+    target = tmp_path / "grain.zemax.bsdf"
+    run("convert", saved, target, "--tolerance", 0.1)
+    renamed = target.rename(tmp_path / "grain.txt")
+    stated = ("--second-from", "zemax", "--second-quantity", "brdf", "--json")
+    found = run("compare", saved, renamed, *stated)
+    assert found.exit_code == 0, found.output
+    same = json.loads(found.stdout)
+    found = run("compare", saved, renamed, *stated[:3], "pi_brdf", "--json")
+    assert json.loads(found.stdout)["albedo"][1][0] == pytest.approx(same["albedo"][1][0] / 3.14159, rel=1e-3)
+    refused = run("compare", saved, saved, "--first-from", "zemax")
+    assert refused.exit_code == 2
+    assert "states its own format" in refused.output
+
+
+def test_the_errors_of_fits_are_printed_by_formula(saved: Path, tmp_path: Path) -> None:
+    target = tmp_path / "grain.parameters.json"
+    found = run("convert", saved, target)
+    assert found.exit_code == 0, found.output
+    for one in json.loads(target.read_text())["fits"]:
+        (line,) = (line for line in found.output.splitlines() if line.startswith(f"{one['formula']}: "))
+        assert f"error {one['error']['median']:.2%} in the median" in line
+        assert f"{one['error']['albedo']:.2%} of the directional reflectance" in line
+        assert ("not written" in line) == ("refused" in one)
+
+
+def test_a_folder_that_is_not_there_is_not_made(saved: Path, tmp_path: Path) -> None:
+    found = run("convert", saved, tmp_path / "new" / "a.ddr")
+    assert found.exit_code == 2
+    assert "does not exist; make it first" in " ".join(found.output.split())
+    assert not (tmp_path / "new").exists()
+
+
+def test_formats_lists_every_format_and_what_it_reads_and_writes() -> None:
+    listed = run("formats").output
+    assert [line.partition(":")[0] for line in listed.splitlines() if not line.startswith(" ")] == list(FORMATS)
+    lines = listed.splitlines()
+    integra = lines[next(k for k, line in enumerate(lines) if line.startswith("integra: ")) :]
+    assert integra[1].split() == ["written:", ".ddr", ".sdr", ".ddt", ".sdt"]
+    assert integra[2].split() == ["read:", ".ddr", ".ddt"]
+    assert "colour=bw" in integra[3]
 
 
 def test_a_file_is_never_replaced_by_its_own_conversion(saved: Path) -> None:

@@ -111,7 +111,7 @@ def test_the_format_is_that_of_the_extension_unless_named(grey, tmp_path):
     exchange.write(grey, tmp_path / "a.txt", format="astm", **COARSE)
     assert format_of(tmp_path / "a.txt", "astm").name == "astm"
     assert read_as_viewers_do(tmp_path / "a.txt")[0] > 0
-    with pytest.raises(exchange.ExchangeError, match=r"a\.txt: unknown format 'txt'; accepted: astm \(\.astm\)"):
+    with pytest.raises(exchange.ExchangeError, match=r"a\.txt: no format has files that end with '\.txt'"):
         exchange.write(grey, tmp_path / "a.txt")
 
 

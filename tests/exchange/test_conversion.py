@@ -77,7 +77,7 @@ def test_wavelengths_that_cannot_be_written_are_refused(
     ("name", "options", "words"),
     [
         ("a.nc", {"tolerance": 0.1}, "netCDF has no option 'tolerance'"),
-        ("a.xyz", {}, "unknown format"),
+        ("a.xyz", {}, "no format has files that end with '.xyz'; accepted: an ending such as .zemax.bsdf"),
         ("a.zemax.bsdf", {"tolerance": -1.0}, "tolerance is -1.0"),
     ],
 )

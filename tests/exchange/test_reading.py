@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -111,6 +112,44 @@ def test_light_on_both_sides_times_the_cosine_is_converted_on_both():
     found = as_bsdf(read, Path("x")).sel(theta_o=[30.0, 80.0, 100.0, 150.0])
     assert found["brdf"].values == pytest.approx(0.1)
     assert found["brdf_u"].values == pytest.approx(0.01)
+
+
+def test_a_value_that_no_brdf_has_is_refused_also_after_conversion():
+    read = table()
+    read.values[1, 2, 3] = 1e30
+    with pytest.raises(InputError, match=r"too large for a BRDF; if it marks a missing value.*found 1e\+30 sr-1"):
+        as_bsdf(read, Path("x"))
+    read.values[1, 2, 3] = 2e12
+    with pytest.raises(InputError, match="too large for a BRDF"):
+        as_bsdf(read, Path("x"))
+    as_bsdf(replace(read, quantity="pi_brdf"), Path("x"))
+
+
+@pytest.mark.parametrize(
+    ("reflectance", "quantity", "words"),
+    [
+        (0.99, "brdf", ""),
+        (3.0, "brdf", "send out 3 times the light that arrives.*read them as the quantity `pi_brdf`"),
+        (3.0, "pi_brdf", ""),
+        (60.0, "brdf", "send out 60 times.*if they are percentages, divide them by 100"),
+        (1000.0, "brdf", "send out 1e\\+03 times.*check their unit and scale"),
+    ],
+)
+def test_more_light_than_arrives_is_named_with_what_to_do(reflectance, quantity, words):
+    found = warnings_of(table(reflectance / np.pi, quantity=quantity))
+    assert re.search(words, found) if words else "light that arrives" not in found
+
+
+def test_a_table_that_reflects_more_than_it_receives_fails():
+    read = ReadTable("specular", table().axes, table(3.0 / np.pi).values)
+    assert json.loads(check(as_bsdf(read, Path("x"))).attrs["verdicts"])["energy"]["verdict"] == "fail"
+
+
+def test_the_uncertainty_of_relative_values_is_scaled_with_them():
+    read = table(2.0, relative=True, declared_integral=np.full((THETA_I.size, 1), 0.5))
+    found = as_bsdf(replace(read, uncertainty=read.values / 10), Path("x"))
+    assert found["brdf_u"].values == pytest.approx(found["brdf"].values / 10)
+    assert float(found.bsdf.albedo(20.0)) == pytest.approx(0.5, rel=1e-3)
 
 
 def test_numbers_that_are_not_finite_are_refused():

@@ -28,6 +28,7 @@ NOT_CLOSED = ("crf", "none")
 """Modes of the diffuse part that do not keep the total reflectance."""
 INTEGRAL_LIMIT = 1e-3  # of the incident light: the kinks of a counted density cost the plain quadrature 1e-4
 _INTEGRAL_ACCURACY = 1e-4  # estimated, of the plain quadrature; the real error is 100 times smaller
+_ONE_WITHOUT_LIGHT = 1.999  # of the mean: 2 where one of two values is 0
 GROWTH_LIMIT = 3.0  # 1/cos θ grows tenfold from 89.9 to 89.99°, and a sound BRDF hardly at all
 SIGNIFICANCE_LIMIT = 2.0  # standard uncertainties of a measured BSDF beyond which a violation is significant
 _BRIGHTEST = 4
@@ -302,6 +303,13 @@ def _closure(model: Representation) -> float:
 # --- verdicts
 
 
+def _share(size: float) -> str:
+    """A share as a percentage of two digits; one that is rounding alone as a power of ten."""
+    if not 1e-6 <= size < 1e4:
+        return f"{size:.0e}" if size else "0"
+    return f"{np.format_float_positional(100 * size, precision=2, fractional=False, trim='-')}%"
+
+
 def _verdicts(result: xr.Dataset, residuals: dict[str, _Residual], model: Representation) -> dict[str, tuple[str, str]]:
     """Verdict and text of each check."""
     bsdf, unphysical = model.dataset, model.unphysical_choice
@@ -313,8 +321,9 @@ def _verdicts(result: xr.Dataset, residuals: dict[str, _Residual], model: Repres
     reciprocal = reciprocity.size <= RECIPROCITY_LIMIT
     # A representation that averages both ways is reciprocal even if the measured values are not.
     contradiction = float(bsdf.attrs.get("contradiction", 0.0))
-    text = f"f(i,o) and f(o,i) differ by at most {reciprocity.size:.1e} of their mean"
+    text = f"f(i,o) and f(o,i) differ by at most {_share(reciprocity.size)} of their mean"
     if not reciprocal:
+        text += " (one is without light)" if reciprocity.size > _ONE_WITHOUT_LIGHT else ""
         text += f", {reciprocity.where}{known}"
     if contradiction:
         text += f"; the BSDF is their average, and the measured ones differ by up to {contradiction:.1f} standard uncertainties"
@@ -350,20 +359,20 @@ def _verdicts(result: xr.Dataset, residuals: dict[str, _Residual], model: Repres
         verdicts["grazing"] = "warn", f"grows {growth.size:.0f}-fold from 89.9 to 89.99°, {growth.where}{known}"
 
     quantities = "reflectance and transmittance" if model.transmits else "reflectance"
-    text = f"integral of the BSDF equals the directional {quantities} within {integral.size:.1e} of the light"
+    text = f"integral of the BSDF equals the directional {quantities} within {_share(integral.size)} of the light"
     if integral.size <= INTEGRAL_LIMIT:
         verdicts["integral"] = "pass", text
     else:
         interpolation_error = float(bsdf.get("interpolation_error", 0.0))
         stated = integral.size <= interpolation_error
-        text += f", {integral.where}; accepted: {INTEGRAL_LIMIT:g}{known}"
+        text += f", {integral.where}; accepted: {_share(INTEGRAL_LIMIT)}{known}"
         if stated:
-            text += f"; the stated interpolation error is {interpolation_error:.1e}: integrate with `albedo` and `transmittance`"
+            text += f"; the stated interpolation error is {_share(interpolation_error)}: integrate with `albedo` and `transmittance`"
         verdicts["integral"] = "warn" if stated else broken, text
 
     closure = float(result["closure_residual"])
     if np.isfinite(closure):
-        text = f"total reflectance at {float(bsdf['theta_m']):g}° equals the given one within {closure:.1e}"
+        text = f"total reflectance at {float(bsdf['theta_m']):g}° equals the given one within {_share(closure)} of the light"
         stated = closure <= float(bsdf.get("interpolation_error", 0.0))
         chosen = bsdf.attrs.get("diffuse_mode") in NOT_CLOSED
         clamped = bool((bsdf.get("diffuse_quality", xr.DataArray(0)) == vocabulary.quality("clamped")).any())
@@ -374,5 +383,5 @@ def _verdicts(result: xr.Dataset, residuals: dict[str, _Residual], model: Repres
         elif closure <= CLOSURE_FAIL_LIMIT or clamped or stated or chosen:
             verdicts["closure"] = "warn", text + known
         else:
-            verdicts["closure"] = broken, f"{text}; accepted: {CLOSURE_LIMIT:g} of the incident light{known}"
+            verdicts["closure"] = broken, f"{text}; accepted: {_share(CLOSURE_LIMIT)}{known}"
     return verdicts

@@ -1,5 +1,5 @@
-"""The command line: ``brdfpipe build``, ``check``, ``diff``, ``verify``, ``snapshot``, ``release``, ``prune``, ``scenes`` and ``new``; ``convert`` and
-``compare`` are in :mod:`brdfpipe.cli.tables`, the group ``rig`` in :mod:`brdfpipe.cli.rig`.
+"""The command line: ``brdfpipe build``, ``check``, ``diff``, ``verify``, ``snapshot``, ``release``, ``prune``, ``scenes`` and ``new``; ``convert``,
+``compare`` and ``formats`` are in :mod:`brdfpipe.cli.tables`, the group ``rig`` in :mod:`brdfpipe.cli.rig`.
 
 Exit codes: 0 every material was built (or is ok), 1 at least one was not, 2 the command, the catalogue or the configuration
 cannot be used, 130 interrupted, 143 terminated. The verdict of a material's checks and the budget of its scene change it only with ``--fail-on``.
@@ -15,7 +15,7 @@ import click
 
 from brdfpipe.cli.console import FILE, FOLDER, PRESENT, exit_on_error
 from brdfpipe.cli.rig import rig
-from brdfpipe.cli.tables import compare, convert
+from brdfpipe.cli.tables import compare, convert, formats
 from brdfpipe.errors import BrdfpipeError, printable
 
 
@@ -298,7 +298,7 @@ def _cores() -> int:
     return os.cpu_count() or 1
 
 
-for command in (convert, compare, rig):
+for command in (convert, compare, formats, rig):
     main.add_command(command)
 
 if __name__ == "__main__":

@@ -1,15 +1,17 @@
-"""The commands ``brdfpipe convert`` and ``brdfpipe compare``: BSDFs of this package and of other programs."""
+"""The commands ``brdfpipe convert``, ``compare`` and ``formats``: BSDFs of this package and of other programs."""
 
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import click
 
 from brdfpipe.cli.console import FILE, exit_on_error
-from brdfpipe.errors import printable
-from brdfpipe.exchange.registry import FORMATS, GRID_OPTIONS, QUANTITIES, RECORD, WRITTEN
+from brdfpipe.errors import InputError, printable
+from brdfpipe.exchange.registry import FORMATS, GRID_OPTIONS, QUANTITIES, WRITTEN
 
 _READ = click.Choice([name for name, known in FORMATS.items() if known.read])
 _QUANTITY = click.Choice(QUANTITIES)
@@ -34,7 +36,11 @@ _OPTIONS = sorted({*GRID_OPTIONS, *(name for known in FORMATS.values() for name 
     "--wavelengths", default="", metavar="NM,NM,…", help="Of OUT, where it has a spectrum  [default: those of IN]"
 )
 @click.option(
-    "--option", "further", multiple=True, metavar="NAME=VALUE", help="Of the format, as colour=rgb; see docs/stages.md"
+    "--option",
+    "further",
+    multiple=True,
+    metavar="NAME=VALUE",
+    help="Of the format, as colour=rgb; see `brdfpipe formats`",
 )
 @exit_on_error
 def convert(
@@ -50,31 +56,36 @@ def convert(
 ) -> int:
     """Write the BSDF of file IN, a bsdf.nc of the results or a file of another program, as file OUT: netCDF (.nc) or a file of another program.
 
-    Prints the warnings of IN, the error of OUT and what OUT leaves out. docs/exchange.md has the formats.
+    Prints the warnings of IN, the error of OUT and what OUT leaves out. `brdfpipe formats` lists the formats.
     """
     from brdfpipe.exchange import conversion
+    from brdfpipe.exchange.records import statements
 
+    if not target.parent.is_dir():
+        raise click.BadParameter(f"the folder {target.parent} does not exist; make it first", param_hint="OUT")
     if target.exists() and target.samefile(source):
         raise click.BadParameter(f"{target} is the file that is read; give another one", param_hint="OUT")
     given = {"tolerance": tolerance, "largest": largest}
     options = {name: value for name, value in given.items() if value is not None} | dict(map(_option, further))
     wanted = _numbers(wavelengths)
-    bsdf = conversion.open_bsdf(source, read_as, quantity)
+    with _options_in_place_of_keys({"table.format": "--from", "table.quantity": "--quantity"}):
+        bsdf = conversion.open_bsdf(source, read_as, quantity)
     for warning in json.loads(bsdf.attrs.get("warnings", "[]")):
         click.echo(f"{source.name}: warning: {printable(warning)}", err=True)
-    conversion.convert(bsdf, target, format, wavelengths=wanted, inputs={source.name: source}, **options)
+    record = conversion.convert(bsdf, target, format, wavelengths=wanted, inputs={source.name: source}, **options)
     click.echo(f"{target}: {target.stat().st_size / 1e6:.2f} MB")
-    beside = Path(f"{target}{RECORD}")
-    if beside.is_file():
-        record = json.loads(beside.read_text(encoding="utf-8"))
-        error = record["error"]
-        click.echo(
-            f"error {error['percentile_95']:.2%} of BRDF·cos θ_o at the 95th percentile, {error['albedo']:.2%} of the directional reflectance"
-            + ("" if error.get("within_tolerance", True) else "; MORE than the tolerance: raise --largest")
-        )
-        for text in record["left_out"].values():
-            click.echo(f"left out: {printable(text)}")
+    for text in statements(record):
+        click.echo(printable(text))
     return 0
+
+
+@contextmanager
+def _options_in_place_of_keys(options: dict[str, str]) -> Iterator[None]:
+    """Errors of reading name an option of the command (key of material.yaml → option)."""
+    try:
+        yield
+    except InputError as refusal:
+        raise refusal.at_command_line(options) from refusal
 
 
 def _numbers(text: str) -> list[float]:
@@ -104,16 +115,39 @@ def _option(text: str) -> tuple[str, object]:
 @click.command(short_help="Compare the BSDFs of two files.")
 @click.argument("first", type=FILE)
 @click.argument("second", type=FILE)
+@click.option("--first-from", type=_READ, default=None, help="Format of FIRST  [default: that of its suffix]")
+@click.option("--first-quantity", type=_QUANTITY, default=None, help="What its values are  [default: what it says]")
+@click.option("--second-from", type=_READ, default=None, help="Format of SECOND  [default: that of its suffix]")
+@click.option("--second-quantity", type=_QUANTITY, default=None, help="What its values are  [default: what it says]")
 @click.option("--json", "as_json", is_flag=True, help="Print the differences as JSON.")
 @exit_on_error
-def compare(first: Path, second: Path, as_json: bool) -> int:
-    """Compare the BSDFs of two files, bsdf.nc of results or files of other programs: by direction, in reflectance, gloss and colour."""
+def compare(
+    first: Path,
+    second: Path,
+    first_from: str | None,
+    first_quantity: str | None,
+    second_from: str | None,
+    second_quantity: str | None,
+    as_json: bool,
+) -> int:
+    """Compare the BSDFs of two files, bsdf.nc of results or files of other programs: by direction, in reflectance, gloss and colour.
+
+    Prints the warnings of files of other programs.
+    """
     import numpy as np
 
     from brdfpipe.comparison.bsdf_difference import as_text, difference
-    from brdfpipe.exchange.conversion import open_bsdf
+    from brdfpipe.exchange.conversion import NETCDF, open_bsdf
 
-    found = difference(open_bsdf(first), open_bsdf(second))
+    bsdfs = []
+    given = (first, "first", first_from, first_quantity), (second, "second", second_from, second_quantity)
+    for path, name, read_as, quantity in given:
+        with _options_in_place_of_keys({"table.format": f"--{name}-from", "table.quantity": f"--{name}-quantity"}):
+            bsdfs.append(open_bsdf(path, read_as, quantity))
+        if path.suffix.lower() != NETCDF:
+            for warning in json.loads(bsdfs[-1].attrs.get("warnings", "[]")):
+                click.echo(f"{path.name}: warning: {printable(warning)}", err=True)
+    found = difference(bsdfs[0], bsdfs[1])
     if not as_json:
         click.echo(as_text(found))
         return 0
@@ -131,3 +165,27 @@ def _without_nan(value: object) -> object:
     if isinstance(value, list):
         return [_without_nan(one) for one in value]
     return None if isinstance(value, float) and value != value else value
+
+
+@click.command(short_help="List the formats of other programs.")
+@exit_on_error
+def formats() -> int:
+    """List the formats of other programs: what their files hold, the endings of files, and the options of writing.
+
+    netCDF (.nc) holds the BSDF itself and needs no format.
+    """
+    for name, known in FORMATS.items():
+        click.echo(f"{name}: {known.description}")
+        suffixes = [group[0] for side in known.files.values() for group in side.values()]
+        if suffixes:
+            click.echo(f"    written: {' '.join(suffixes)}")
+        if known.read:
+            click.echo(f"    read: {' '.join(known.readable_suffixes)}")
+        options = {**(GRID_OPTIONS if known.takes == "grid" else {}), **known.options}
+        if options:
+            listed = (
+                f"{option}={value if isinstance(value, str) else json.dumps(value)}"
+                for option, value in options.items()
+            )
+            click.echo(f"    options: {' '.join(listed)}")
+    return 0

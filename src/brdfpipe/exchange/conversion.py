@@ -46,7 +46,7 @@ def convert(
     wavelengths: Sequence[float] = (),
     inputs: Mapping[str, str | os.PathLike[str]] | None = None,
     **options: Any,
-) -> None:
+) -> Mapping[str, Any]:
     """Write a BSDF as netCDF (``.nc``), or in a format of another program.
 
     Parameters
@@ -55,6 +55,10 @@ def convert(
     path, format, options : see :func:`brdfpipe.exchange.registry.write`
     wavelengths : of the files [nm], increasing, within those of the BSDF; by default all of a file with a spectrum
     inputs : name → raw file from which the BSDF comes, for the provenance of a netCDF file
+
+    Returns
+    -------
+    The record of the file: its error and what it leaves out, see :mod:`brdfpipe.exchange.records`; empty for netCDF, which leaves nothing out
 
     Raises
     ------
@@ -69,14 +73,14 @@ def convert(
             )
         material = str(bsdf.attrs.get("material", Path(path).stem))
         store.save_dataset(bsdf, path, stage="convert", material=material, inputs=inputs)
-        return
+        return {}
     declared, writer = registry.writer_of(path, format)
     if len(wavelengths):
         if "spectrum" not in declared.carries:
             known = ", ".join(name for name, one in registry.FORMATS.items() if "spectrum" in one.carries)
             raise ExchangeError(f"{declared.name}: the format has no wavelengths; accepted: {known}, or netCDF")
         options = {**declared.spectral, **options}
-    declared.run(writer, bsdf, path, options)
+    return declared.run(writer, bsdf, path, options)
 
 
 def at_given_wavelengths(bsdf: xr.Dataset, wavelengths: Sequence[float]) -> xr.Dataset:

@@ -26,7 +26,7 @@ FORMAT = Format(
 )
 
 
-def write(bsdf: xr.Dataset, path: Path, *, largest_error: float) -> None:
+def write(bsdf: xr.Dataset, path: Path, *, largest_error: float) -> records.Record:
     """Write the parameters of the reflecting side, weighted with V(λ) and D65.
 
     Parameters
@@ -55,7 +55,7 @@ def write(bsdf: xr.Dataset, path: Path, *, largest_error: float) -> None:
         least = min(fits, key=lambda one: max(float(one["error"]["median"]), float(one["error"]["albedo"])))
         raise ExchangeError(
             f"no formula describes this material: the nearest, {least['formula']}, is off by {least['error']['median']:.0%} of BRDF cos theta_o "
-            f"(median) and {least['error']['albedo']:.0%} of the reflectance, above the limit of {largest_error:g}; use the format of a table, or raise `largest_error`"
+            f"(median) and {least['error']['albedo']:.0%} of the reflectance, above the limit of {largest_error:g}; use the format of a table, or raise the option `largest_error`"
         )
     document = {
         **records.identity(bsdf),
@@ -66,6 +66,7 @@ def write(bsdf: xr.Dataset, path: Path, *, largest_error: float) -> None:
         "left_out": records.left_out(bsdf, FORMAT, channels=1),
     }
     store.write_text(path, json.dumps(document, indent=1, ensure_ascii=False) + "\n")
+    return document
 
 
 def _of_formula(bsdf: xr.Dataset, name: str) -> dict[str, Any]:

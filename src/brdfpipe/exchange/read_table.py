@@ -28,8 +28,13 @@ INTEGRAL_LIMIT = 0.02
 RECIPROCITY_LIMIT = 0.1
 """Median relative difference of exchanged directions above which it is warned of."""
 
+LARGEST_VALUE = 1e12
+"""BRDF above which a value is refused [sr-1]: all light within a millionth of a radian."""
+
 _NEAR_NORMAL, _NEAR_GRAZING = 10.0, 75.0
 """Incidences that a table has to reach to serve for all directions without a warning [degree]."""
+_INCIDENCES_OF_HALF_ANGLES = np.array([10.0, 45.0, 75.0])
+_MOST_INTEGRATED = 5
 _HORIZON = 89.9
 _MOST_COMPARED = 4000
 
@@ -84,7 +89,7 @@ def as_bsdf(read: ReadTable, path: Path) -> xr.Dataset:
 
     Raises
     ------
-    InputError : no cell has a value, a value is infinite, or an axis does not increase.
+    InputError : no cell has a value, a value is infinite or above :data:`LARGEST_VALUE`, or an axis does not increase.
     """
     if (infinite := np.isinf(read.values)).any():
         raise InputError(
@@ -106,8 +111,15 @@ def as_bsdf(read: ReadTable, path: Path) -> xr.Dataset:
     values, quality, warnings = _completed(_as_brdf(read.values, read), read, path)
     read, values, quality = _with_two_nodes(read, values, quality)
     if read.relative:
-        values, scaled = _on_declared_scale(read, values, path)
+        read, values, scaled = _on_declared_scale(read, values, path)
         warnings += scaled
+    if (largest := float(values.max())) > LARGEST_VALUE:
+        raise InputError(
+            path,
+            "a value is too large for a BRDF; if it marks a missing value, leave its cell empty",
+            found=f"{largest:g} sr-1",
+            accepted=f"up to {LARGEST_VALUE:g} sr-1",
+        )
     names = tuple(read.axes)
     table = xr.Dataset(coords=dict(read.axes), attrs={"representation": Table.name, "source_representation": "file"})
     if read.channels == "spectral":
@@ -131,7 +143,7 @@ def as_bsdf(read: ReadTable, path: Path) -> xr.Dataset:
         table.attrs["transmission"] = "slab"
     table = vocabulary.label(table, "bsdf")
     luminous = table.drop_dims(["wavelength", "component", "channel"]) if "brdf_xyz" in table else table
-    warnings += _declared(read, luminous) + _reciprocity(luminous) + _incidences(read)
+    warnings += _excess(read, luminous) + _declared(read, luminous) + _reciprocity(luminous) + _incidences(read)
     if read.side == "transmission":
         table = table.assign_attrs(side="transmission", transmission="slab")
     return vocabulary.add_warning(vocabulary.add_history(table, *read.notes), *read.warnings, *warnings)
@@ -224,8 +236,8 @@ def _with_two_nodes(
     return replace(read, axes=axes), values, quality
 
 
-def _on_declared_scale(read: ReadTable, values: Array, path: Path) -> tuple[Array, list[str]]:
-    """Relative values on the scale at which each channel of an incidence reflects what the file declares, and warnings."""
+def _on_declared_scale(read: ReadTable, values: Array, path: Path) -> tuple[ReadTable, Array, list[str]]:
+    """Relative values, and their uncertainties, on the scale at which each channel of an incidence reflects what the file declares; and warnings."""
     declared = np.full((1, 1, 1), np.nan) if read.declared_integral is None else read.declared_integral
     declared = declared.reshape(-1, *declared.shape[-2:])
     known = np.isfinite(declared).all(axis=-1)
@@ -250,14 +262,17 @@ def _on_declared_scale(read: ReadTable, values: Array, path: Path) -> tuple[Arra
         )
     factor[~known] = factor[known][0]
     shape = declared.shape if "phi_i" in read.axes else declared.shape[1:]
-    scaled = values * factor.reshape(*shape[:-1], 1, 1, shape[-1])
+    factors = factor.reshape(*shape[:-1], 1, 1, shape[-1])
+    scaled = values * factors
+    if read.uncertainty is not None:
+        read = replace(read, uncertainty=read.uncertainty * factors)
     if not np.isfinite(scaled).all():
         raise InputError(path, "a value on the declared scale is not finite", accepted="numbers below 1e300")
     positive = factor[known][factor[known] > 0]
     if positive.size == 0 or positive.max() / positive.min() - 1 <= INTEGRAL_LIMIT:
-        return scaled, []
+        return read, scaled, []
     text = f"the values are proportional to the BRDF; those of each incidence were scaled to the declared reflectance, by {positive.min():.4g} to {positive.max():.4g}"
-    return scaled, [f"{text}: as these differ, the table may be too coarse for its lobe"]
+    return read, scaled, [f"{text}: as these differ, the table may be too coarse for its lobe"]
 
 
 def _with_tristimulus(read: ReadTable) -> ReadTable:
@@ -267,6 +282,24 @@ def _with_tristimulus(read: ReadTable) -> ReadTable:
     return replace(read, values=read.values @ to_xyz, declared_integral=declared, channels="xyz")
 
 
+def _excess(read: ReadTable, table: xr.Dataset) -> list[str]:
+    """More light than arrives, and what the values may be instead."""
+    angles = read.axes.get("theta_i", _INCIDENCES_OF_HALF_ANGLES)
+    chosen = np.unique(angles[np.linspace(0, angles.size - 1, _MOST_INTEGRATED).astype(int)])
+    chosen = chosen[chosen < _HORIZON]
+    shares = np.array([_integrals(table, float(angle)).max() for angle in chosen])
+    if shares.size == 0 or shares.max() <= 1 + INTEGRAL_LIMIT:
+        return []
+    worst = int(np.argmax(shares))
+    text = f"the values send out {shares[worst]:.3g} times the light that arrives (at {chosen[worst]:g} degree of incidence)"
+    remedy = "check their unit and scale"
+    if shares[worst] <= np.pi * (1 + INTEGRAL_LIMIT) and read.quantity == "brdf":
+        remedy = "if they are reflectance factors, π times the BRDF, read them as the quantity `pi_brdf`"
+    elif shares[worst] <= 100 * (1 + INTEGRAL_LIMIT):
+        remedy = "if they are percentages, divide them by 100 in the file"
+    return [f"{text}; {remedy}"]
+
+
 def _declared(read: ReadTable, table: xr.Dataset) -> list[str]:
     """The declared integral beside that of the table."""
     if read.declared_integral is None or "theta_i" not in read.axes:
@@ -274,7 +307,7 @@ def _declared(read: ReadTable, table: xr.Dataset) -> list[str]:
     declared = read.declared_integral.reshape(-1, *read.declared_integral.shape[-2:])[0]
     channel = 1 if read.channels == "xyz" else declared.shape[-1] // 2
     angles = read.axes["theta_i"][: declared.shape[0]]
-    own = np.array([_integral(table, float(angle), channel if read.channels == "spectral" else 0) for angle in angles])
+    own = np.array([_integrals(table, float(angle))[channel if read.channels == "spectral" else 0] for angle in angles])
     stated = declared[:, channel]
     known = np.isfinite(stated) & (stated > 0)
     if not known.any():
@@ -305,9 +338,10 @@ def _incidences(read: ReadTable) -> list[str]:
     return [text if read.layout == "uniform" else f"{text}, about the mirror direction"]
 
 
-def _integral(table: xr.Dataset, theta_i: float, channel: int) -> float:
+def _integrals(table: xr.Dataset, theta_i: float) -> Array:
+    """Reflectance (channels,) of one incidence."""
     rule = approximation_error.directions(table, theta_i)
-    return float(rule.weight @ approximation_error.brdf_at(table, theta_i, 0.0, rule)[:, channel])
+    return np.asarray(rule.weight @ approximation_error.brdf_at(table, theta_i, 0.0, rule))
 
 
 def _reciprocity(table: xr.Dataset) -> list[str]:

@@ -10,7 +10,9 @@ import xarray as xr
 
 from brdfpipe.errors import InputError
 from brdfpipe.exchange.read_table import as_bsdf
-from brdfpipe.exchange.registry import FORMATS, QUANTITIES, Format
+from brdfpipe.exchange.registry import FORMATS, LISTED, QUANTITIES, Format
+
+_ACCEPTED = f"a format that is read; {LISTED}"
 
 _BEGINNING = 2**16
 """Bytes in which the word of a format is searched."""
@@ -56,9 +58,7 @@ def format_of(path: Path, name: str | None = None) -> Format:
     readable = {known.name: known for known in FORMATS.values() if known.read}
     if name is not None:
         if name not in readable:
-            raise InputError(
-                path, "unknown format", found=repr(name)[:40], accepted=", ".join(readable), key="table.format"
-            )
+            raise InputError(path, "unknown format", found=repr(name)[:40], accepted=_ACCEPTED, key="table.format")
         return readable[name]
     with path.open("rb") as file:
         # With a line end before the first line, a word may stand for the beginning of any line.
@@ -66,19 +66,12 @@ def format_of(path: Path, name: str | None = None) -> Format:
     file_name = path.name.lower()
     matches = []
     for known in readable.values():
-        written = [
-            suffix
-            for side in known.files.values()
-            for writer, group in side.items()
-            for suffix in group
-            if writer not in known.beside
-        ]
-        ends = any(file_name.endswith(Path(f"name{suffix}").suffix) for suffix in (*written, *known.reads))
+        ends = any(file_name.endswith(Path(f"name{suffix}").suffix) for suffix in known.readable_suffixes)
         if ends and (not known.begins or any(word.encode() in beginning for word in known.begins)):
             matches.append(known)
     if len(matches) == 1:
         return matches[0]
-    accepted = ", ".join(known.name for known in matches or readable.values())
+    accepted = ", ".join(known.name for known in matches) or _ACCEPTED
     problem = "several formats have such files" if matches else "no format has such files"
     written = [
         known.name

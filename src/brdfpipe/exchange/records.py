@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any, Protocol
 
 import numpy as np
@@ -97,6 +98,34 @@ def sentences(record: Record, values: str = VALUES["reflection"]) -> list[str]:
     ]
 
 
+def statements(record: Mapping[str, Any]) -> list[str]:
+    """The record in words, for a terminal."""
+    errors = [(f"{one['formula']}: ", one["error"], one.get("refused", "")) for one in record.get("fits", [])]
+    named = {"": "error", "light that passes: ": "error_of_transmission"}
+    errors += [(start, record[key], "") for start, key in named.items() if isinstance(record.get(key), Mapping)]
+    return [
+        *(start + _stated(error, refused) for start, error, refused in errors),
+        *(f"left out: {text}" for text in record.get("left_out", {}).values()),
+    ]
+
+
+def _stated(error: Mapping[str, Any], refused: str) -> str:
+    """Error of a table or of a fit in words."""
+    median = f"{error['median']:.2%} in the median and " if "median" in error else ""
+    parts = [
+        f"{median}{error['percentile_95']:.2%} at the 95th percentile, of BRDF·cos θ_o",
+        f"{error['albedo']:.2%} of the directional reflectance",
+    ]
+    if "delta_e_00" in error:
+        parts.append(f"a colour difference of {error['delta_e_00']:.1f} (ΔE00) off the lobe")
+    end = (
+        ""
+        if error.get("within_tolerance", True)
+        else "; MORE than the tolerance: allow more values by the option `largest`"
+    )
+    return f"error {', '.join(parts)}{end}" + (f"; not written: {refused}" if refused else "")
+
+
 def left_out(bsdf: xr.Dataset, format: Format, channels: int) -> dict[str, str]:
     """What the BSDF has and a file of the format does not hold: property → sentence."""
     model, lost = representation(bsdf), dict[str, str]()
@@ -108,7 +137,7 @@ def left_out(bsdf: xr.Dataset, format: Format, channels: int) -> dict[str, str]:
         lost["lay"] = "the dependence on the azimuth of incidence: the values are the mean over it"
     if "wavelength" in bsdf.coords and ("spectrum" not in format.carries or channels <= 3):
         lost["spectrum"] = (
-            "the spectrum: the values are X, Y, Z or R, G, B under D65"
+            "the spectrum: the values are X, Y, Z, or linear sRGB (IEC 61966-2-1), under D65"
             if channels == 3
             else "the spectrum: the values are weighted with V(lambda) and D65"
         )

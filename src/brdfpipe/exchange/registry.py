@@ -55,6 +55,11 @@ _OPTION_KINDS: Mapping[type, tuple[type, str]] = {
 }
 """Type of an option's default → what the option takes, and this in words."""
 
+LISTED = "`brdfpipe formats` lists the formats"
+"""Where a message would be too long with all of them."""
+
+_COMMON_SUFFIXES = (".zemax.bsdf", ".ddr", ".astm", ".nc")
+
 RECORD = ".json"
 """Suffix of the record beside a file."""
 
@@ -101,6 +106,20 @@ class Format:
         return f"{__package__}.{self.name.replace('-', '_')}"
 
     @property
+    def readable_suffixes(self) -> list[str]:
+        """Suffixes of the files that are read: those that are written, but for the tables beside them, and others; empty of a format that is not read."""
+        if not self.read:
+            return []
+        written = [
+            suffix
+            for side in self.files.values()
+            for writer, group in side.items()
+            for suffix in group
+            if writer not in self.beside
+        ]
+        return [*written, *self.reads]
+
+    @property
     def has_record(self) -> bool:
         """Whether a record stands beside each file."""
         return self.takes in ("grid", "cells")
@@ -124,15 +143,18 @@ class Format:
         for writer, suffixes in self.files[side].items():
             self.run(writer, bsdf, f"{stem}{suffixes[0]}", keywords)
 
-    def run(self, writer: str, bsdf: xr.Dataset, path: str | os.PathLike[str], keywords: Mapping[str, Any]) -> None:
-        """Call one of the writers, and write the record that it returns beside the file."""
+    def run(
+        self, writer: str, bsdf: xr.Dataset, path: str | os.PathLike[str], keywords: Mapping[str, Any]
+    ) -> Mapping[str, Any]:
+        """Call one of the writers, and write the record that it returns beside the file, unless the file itself has it; the record, empty where there is none."""
         options = self.keywords(keywords)
         if writer in self.beside:
             self.function(writer)(bsdf, Path(path))
-            return
-        record = self.function(writer)(bsdf, Path(path), **options)
+            return {}
+        record: Mapping[str, Any] = self.function(writer)(bsdf, Path(path), **options) or {}
         if self.has_record:
             self.write_record(path, record)
+        return record
 
     def write_record(self, path: str | os.PathLike[str], record: Mapping[str, Any]) -> None:
         """Write what a writer returned beside its file."""
@@ -182,7 +204,7 @@ def writer_of(path: str | os.PathLike[str], format: str | None = None) -> tuple[
     """The format of a file to be written, and the name of its writer; parameters and errors as for :func:`write`."""
     name = Path(path).name
     if format is not None and format not in WRITTEN:
-        raise ExchangeError(f"{name}: unknown format {format!r}; accepted: {', '.join(WRITTEN)}")
+        raise ExchangeError(f"{name}: unknown format {format!r}; {LISTED}")
     writers = {
         (declared.name, writer): suffixes[0]
         for declared in ([FORMATS[format]] if format else FORMATS.values())
@@ -193,11 +215,14 @@ def writer_of(path: str | os.PathLike[str], format: str | None = None) -> tuple[
     longest = {key for key, suffix in matches.items() if len(suffix) == max(map(len, matches.values()))}
     if len(longest) > 1:
         formats = ", ".join(sorted(declared for declared, _ in longest))
-        raise ExchangeError(f"{name}: several formats have this suffix; give `format`, one of {formats}")
+        raise ExchangeError(f"{name}: several formats have this suffix; name the format, one of {formats}")
     if not longest and format is None:
-        suffix = Path(path).suffix.removeprefix(".")
-        accepted = ", ".join(f"{declared} ({end})" for (declared, _), end in writers.items())
-        raise ExchangeError(f"{name}: unknown format {suffix!r}; accepted: {accepted}")
+        ending = Path(path).suffix or "no suffix"
+        near = sorted(suffix for suffix in writers.values() if suffix.endswith(ending))
+        hint = f" such as {' or '.join(near)}" if near else f" such as {', '.join(_COMMON_SUFFIXES)}"
+        raise ExchangeError(
+            f"{name}: no format has files that end with {ending!r}; accepted: an ending{hint}; {LISTED}"
+        )
     declared, writer = longest.pop() if longest else next(iter(writers))
     return FORMATS[declared], writer
 
