@@ -14,6 +14,7 @@ import local_slurm
 import pytest
 
 from brdfpipe.jobs.build import build
+from brdfpipe.stages import STAGES
 
 PROJECT = Path(__file__).parents[2]
 MATERIALS = ("paint-1", "paint-2", "paint-3", "paint-4")
@@ -27,6 +28,9 @@ lambert_gauss: {theta_i: [0, 45]}
 """
 
 PLUGINS = ("snakemake_executor_plugin_slurm", "snakemake_executor_plugin_cluster_generic")
+LITTLE = 100
+"""MB of memory, less than a worker takes that has imported its libraries."""
+
 ABSENT = [name for name in PLUGINS if importlib.util.find_spec(name) is None]
 
 # Status of each job at once, on a single node without accounting; two materials a job, so that there are several.
@@ -124,6 +128,22 @@ def test_a_job_that_the_scheduler_cancels_runs_again_with_more_memory(
     assert {job["state"] for job in jobs.values()} == {"COMPLETED"}
     assert [job["memory"] for job in jobs.values()].count("3000M") == len(cancelled)
     assert {job["memory"] for job in cancelled} == {"1500M"}
+    assert _files(tmp_path) == local
+
+
+def test_a_job_that_exceeds_its_memory_is_killed_and_runs_again_with_more(
+    slurm: dict[str, str], catalogue: Path, local: dict[str, bytes], tmp_path: Path
+) -> None:
+    before = _jobs(slurm)
+    little = [f"{name}:mem_mb={LITTLE} if attempt == 1 else 1500" for name in STAGES]
+    with _snakemake(slurm, "slurm", catalogue, tmp_path, (*SLURM, "--set-resources", *little)) as run:
+        output, _ = run.communicate(timeout=600)
+    assert run.returncode == 0, output
+    jobs = [job for name, job in _jobs(slurm).items() if name not in before]
+    killed = [job for job in jobs if job["memory"] == f"{LITTLE}M"]
+    assert killed, jobs
+    assert "COMPLETED" not in {job["state"] for job in killed}
+    assert {job["state"] for job in jobs if job not in killed} == {"COMPLETED"}
     assert _files(tmp_path) == local
 
 

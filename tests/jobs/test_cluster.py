@@ -11,6 +11,7 @@ import pytest
 import yaml
 
 from brdfpipe.jobs import cluster
+from brdfpipe.jobs.rules import declared_resources
 from brdfpipe.stages import STAGES
 
 PROFILES = Path(__file__).parents[2] / "workflow" / "profiles"
@@ -73,3 +74,21 @@ def test_every_group_of_stages_asks_for_some_time() -> None:
 def _profile(name: str) -> dict[str, Any]:
     profile: dict[str, Any] = yaml.safe_load((PROFILES / name / "config.yaml").read_text())
     return profile
+
+
+@pytest.mark.parametrize(
+    ("given", "declared"),
+    [
+        ({}, {"mem_mb", "runtime"}),
+        ({"mem_mb": 5}, {"runtime"}),
+        ({"mem": "5 GB"}, {"runtime"}),
+        ({"runtime": 5, "mem_mb": 5}, set()),
+    ],
+)
+def test_resources_given_to_snakemake_replace_those_of_a_stage(given: dict[str, Any], declared: set[str]) -> None:
+    stage = STAGES["appearance"]
+    resources = declared_resources(stage, given)
+    assert resources.keys() == declared
+    for name, value in {"mem_mb": stage.memory, "runtime": stage.minutes}.items():
+        if name in declared:
+            assert [resources[name](None, attempt) for attempt in (1, 2)] == [value, 2 * value]

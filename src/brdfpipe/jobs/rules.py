@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from functools import wraps
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -275,8 +275,9 @@ class Pipeline:
             rule.set_params(spec=self.spec(stage))
             self._inputs[stage.name] = [_function_of(item) or str(item) for item in rule.input]
             rule.message = f"{stage.job_title} of {owner}".replace("{", "{wildcards.")
-            rule.resources["mem_mb"] = _times_attempt(stage.memory)
-            rule.resources["runtime"] = _times_attempt(stage.minutes)
+            given = workflow.resource_settings.overwrite_resources.get(rule.name, {})
+            for name, value in declared_resources(stage, given).items():
+                rule.resources[name] = value
 
     def before_planning(self, action: Callable[[Pipeline], None]) -> None:
         """Call a function before snakemake decides which jobs run: when it asks for the first input files."""
@@ -425,6 +426,13 @@ def _flagged(item: Any) -> Any:
 
 def _files_below(folder: Path) -> list[str]:
     return sorted(str(path) for path in folder.rglob("*") if path.is_file())
+
+
+def declared_resources(stage: Stage, given: Collection[str]) -> dict[str, Callable[[Any, int], int]]:
+    """Memory [MB] and time [min] of a stage by attempt, without those that ``--set-resources`` gives for its rule."""
+    declared = {"mem_mb": _times_attempt(stage.memory), "runtime": _times_attempt(stage.minutes)}
+    names = {"mem_mb" if name == "mem" else name for name in given}
+    return {name: value for name, value in declared.items() if name not in names}
 
 
 def _times_attempt(value: int) -> Callable[[Any, int], int]:
