@@ -80,9 +80,9 @@ def _colour_alone(material: Path, random: np.random.Generator) -> str:
 
 
 def _effect_paint(material: Path, random: np.random.Generator) -> str:
-    level, fall = random.uniform(25, 60), random.uniform(0.3, 0.7)
+    level, fall, blue = random.uniform(25, 60), random.uniform(0.3, 0.7), random.uniform(-20, -5)
     colours = "".join(
-        f"    - {{geometry: '{geometry}', lab: [{level * factor:.1f}, 1.0, {random.uniform(-20, -5):.1f}]}}\n"
+        f"    - {{geometry: '{geometry}', lab: [{level * factor:.1f}, 1.0, {blue * factor:.1f}]}}\n"
         for geometry, factor in (("45:-30", 1.0), ("45:0", fall), ("45:65", fall * 0.5))
     )
     return f"multiangle:\n  colours:\n{colours}  illuminant: D65\n  observer: 10\n  model: flake\n"
