@@ -164,14 +164,36 @@ def test_wavelengths_are_converted_to_nm(read, text: str, expected: list[float])
     [
         ("nm R\n0.4 1\n0.7 2\n", "not hold wavelengths in nm; found 0.4 to 0.7"),
         ("um R\n400 1\n700 2\n", "not hold wavelengths in µm; found 400 to 700"),
-        ("wavenumber cm-1;R\n14000;1\n25000;2\n", "does not hold wavelengths; found 'wavenumber cm-1'"),
+        ("frequency THz;R\n430;1\n750;2\n", "does not hold wavelengths; found 'frequency THz'"),
         ("20 1\n400 2\n", "not hold wavelengths in nm or µm; found 20 to 400"),
+        ("wavenumber cm-1;R\n0;1\n25000;2\n", "not hold values in cm-1, as the header says; found 0 to 25000"),
+        ("3800 1\n7800 2\n", "looks like wavelengths in Å.*accepted: .*`wavelength \\[Å\\]`"),
+        ("13000 1\n26000 2\n", "looks like wavenumbers in cm-1.*`wavenumber \\[cm-1\\]`"),
+        ("1.6 1\n3.2 2\n", "looks like photon energies in eV.*`energy \\[eV\\]`"),
         ("0 1\n1 2\n", "not hold wavelengths"),
     ],
 )
 def test_a_unit_that_is_unclear_or_contradicted_is_refused(read, text: str, message: str) -> None:
     with pytest.raises(InputError, match=message):
         wavelengths(read(text), key="spectrum.file")
+
+
+@pytest.mark.parametrize(
+    ("title", "values"),
+    [
+        ("wavelength [Å]", [4000, 7000]),
+        ("Angstrom", [4000, 7000]),
+        ("Wellenzahl (cm-1)", [25000, 14285.7142857]),
+        ("wavenumber [1/cm]", [25000, 14285.7142857]),
+        ("photon energy [eV]", [3.09960496, 1.77120283]),
+    ],
+)
+def test_other_units_that_the_header_names_are_converted(read, title: str, values: list[float]) -> None:
+    text = f"{title};R\n" + "".join(f"{value};1\n" for value in values)
+    nm, note = wavelengths(read(text), key="spectrum.file")
+    # hc = 1239.841984 eV nm (CODATA 2018), and the digits of the values above.
+    assert nm == pytest.approx([400, 700], rel=1e-8)
+    assert "was converted from" in note
 
 
 def test_repeated_wavelengths_are_averaged_and_sorted() -> None:

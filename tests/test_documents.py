@@ -179,3 +179,14 @@ def test_a_missing_document_is_refused(path: Path) -> None:
 def test_a_deeply_nested_document_is_refused_without_a_crash(path: Path) -> None:
     with pytest.raises(InputError, match="nested too deeply"):
         read(path, "description: " + "[" * 40_000 + "]" * 40_000)
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["surface:\n\tfile: a.x3p\n", "a: 1\nsurface:\n  file: a.x3p\n\tunit: um\n", "a:\n - 1\n -\t\tb: 2\n\tc: 3\n"],
+)
+def test_a_tab_is_called_a_tab(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "material.yaml"
+    path.write_text(text)
+    with pytest.raises(InputError, match=r"line \d+: a tab in the indentation; YAML takes spaces alone"):
+        documents.read_yaml(path)

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from brdfpipe.errors import InputError
 from brdfpipe.geometry import Array
+from brdfpipe.stated_counts import contradictions
 
 TEXT_SUFFIXES = (".csv", ".dat", ".prn", ".tab", ".tsv", ".txt")
 """Extensions read as columns of text."""
@@ -31,16 +32,20 @@ _SENTINEL_MAGNITUDE = 1e30
 _WAVELENGTH_WORDS = re.compile(r"wave|wellen|longueur|lunghezza|lambda|λ|x\s?units|\bnm\b|[µμ]m\b", re.IGNORECASE)
 _NANOMETRE = re.compile(r"\bnm\b|nanomet", re.IGNORECASE)
 _MICROMETRE = re.compile(r"[µμ]m\b|\bum\b|micromet|\bmicrons?\b", re.IGNORECASE)
-_POINTS_STATED = re.compile(
-    r"(?:number of (?:x )?(?:values|points)|npoints)\s*[:=;,\t]\s*(\d{1,9})[\s;,]*", re.IGNORECASE
-)
-_END_STATED = re.compile(r"(first|last) x(?: value)?\s*[:=;,\t]\s*(\d+(?:\.\d*)?)[\s;,]*", re.IGNORECASE)
 _FEWEST_ALIKE = 10
 _MOST_ODD = 2
 """If at least so many numbers have the usual number of decimals and at most so many another, the latter are mistakes and not the file's format."""
 _MOST_IRREGULAR = 0.2
 """Share of other steps up to which a grid is regular."""
-_NOT_A_WAVELENGTH = re.compile(r"cm\s?(?:\^?-1|⁻¹)|wave\s?number|wellenzahl|\bev\b|\bthz\b", re.IGNORECASE)
+_OTHER_UNITS = {
+    "Å": re.compile("[\u00c5\u212b]|(?i:\\bangstr(?:o|\u00f6)ms?\\b)|[\\[(]\\s*A\\s*[\\])]"),
+    "cm-1": re.compile(r"cm\s?(?:\^?-1|⁻¹)|1\s?/\s?cm\b|wave\s?number|wellenzahl", re.IGNORECASE),
+    "eV": re.compile(r"\bev\b|photon\s?energy|energie", re.IGNORECASE),
+}
+"""Units of the first column that are converted to nm."""
+_NOT_A_WAVELENGTH = re.compile(r"\b[tp]?hz\b|frequen", re.IGNORECASE)
+_HC = 1239.841984
+"""Photon energy times wavelength [eV nm]."""
 
 
 @dataclass(frozen=True)
@@ -150,7 +155,7 @@ def parse_columns(text: str, path: Path, notes: Sequence[str] = ()) -> Columns:
     values = np.array([[number(cell, decimal) for cell in cells] for cells in split], dtype=float)
     names = _names(header, separator, values.shape[1])
     lines = np.array([place for place, _ in rows])
-    doubts = _header_contradictions(header, values[:, 0])
+    doubts = contradictions(header, values[:, 0])
     for cells in zip(*split, strict=True):
         doubts += odd_decimals(cells, lambda i: f"in line {lines[i]}")
     return Columns(path.name, (*header, *remarks), names, values, lines, tuple(notes), tuple(doubts))
@@ -161,7 +166,8 @@ def wavelengths(columns: Columns, *, key: str) -> tuple[Array, str]:
 
     Parameters
     ----------
-    columns : a table whose first column is a wavelength in nm or µm
+    columns : a table whose first column is a wavelength in nm or µm; or in Å, a wavenumber in cm⁻¹ or a photon energy in eV, as its title
+        or the header says
     key : the key of ``material.yaml`` that names the file, for messages
 
     Returns
@@ -178,8 +184,19 @@ def wavelengths(columns: Columns, *, key: str) -> tuple[Array, str]:
     if present.size == 0:
         raise InputError(columns.file, "the first column holds no wavelengths", accepted="nm or µm", key=key)
     low, high = float(present.min()), float(present.max())
+    other = _other_unit(columns)
+    if other is not None:
+        return _converted(columns, values, other, key)
     by_size = "nm" if low >= 100 and high <= 20000 else "um" if low >= 0.1 and high <= 20 else None
     unit = _stated_unit(columns, key)
+    if unit is None and (likely := _likely_unit(low, high)):
+        raise InputError(
+            columns.file,
+            f"the first column looks like {likely[1]}, and the header names no unit",
+            found=f"{low:g} to {high:g}",
+            accepted=f"wavelengths in nm or µm, or the title `{likely[0]}` above the column",
+            key=key,
+        )
     if by_size is None or (unit is not None and unit != by_size):
         raise InputError(
             columns.file,
@@ -193,6 +210,42 @@ def wavelengths(columns: Columns, *, key: str) -> tuple[Array, str]:
         # The factor leaves 350.09999999999997 where the file says 0.3501.
         return np.round(values * 1000, 6), f"wavelengths were converted from µm to nm{how}"
     return values, "" if unit else "wavelengths were taken as nm from their size: the header names no unit"
+
+
+def _other_unit(columns: Columns) -> str | None:
+    """Å, cm-1 or eV, if the title of the first column or the header says so and neither says nm or µm."""
+    texts = [columns.names[0]] if columns.names else []
+    texts += [line for line in columns.header if _WAVELENGTH_WORDS.search(line)]
+    for text in texts:
+        if _NANOMETRE.search(text) or _MICROMETRE.search(text):
+            return None
+        for unit, pattern in _OTHER_UNITS.items():
+            if pattern.search(text):
+                return unit
+    return None
+
+
+def _likely_unit(low: float, high: float) -> tuple[str, str] | None:
+    """Title and name of the unit of a range that covers 400-700 nm in it and in no other; None for ranges in nm or µm."""
+    if 1000 < low <= 4200 and 6800 <= high < 12000:
+        return "wavelength [Å]", "wavelengths in Å"
+    if 7000 < low <= 14500 and 24500 <= high < 60000:
+        return "wavenumber [cm-1]", "wavenumbers in cm-1"
+    if 0.9 < low <= 1.8 and 3.0 <= high < 7:
+        return "energy [eV]", "photon energies in eV"
+    return None
+
+
+def _converted(columns: Columns, values: Array, unit: str, key: str) -> tuple[Array, str]:
+    """Values in Å, cm-1 or eV as wavelengths [nm]."""
+    with np.errstate(divide="ignore"):
+        nm = {"Å": values / 10, "cm-1": 1e7 / values, "eV": _HC / values}[unit]
+    present = nm[np.isfinite(values)]
+    if not (np.isfinite(present).all() and present.min() >= 100 and present.max() <= 20000):
+        found = f"{np.nanmin(values):g} to {np.nanmax(values):g}"
+        problem = f"the first column does not hold values in {unit}, as the header says"
+        raise InputError(columns.file, problem, found=found, accepted="100 to 20000 nm in this unit", key=key)
+    return np.round(nm, 6), f"the first column was converted from {unit} to nm, as the header says"
 
 
 def merge_duplicates(wavelength: Array, values: Array) -> tuple[Array, Array, int]:
@@ -360,7 +413,7 @@ def _stated_unit(columns: Columns, key: str) -> str | None:
                 columns.file,
                 "the first column does not hold wavelengths",
                 found=repr(_shorten(text)),
-                accepted="wavelengths in nm or µm",
+                accepted="wavelengths in nm, µm or Å, wavenumbers in cm-1, or photon energies in eV",
                 key=key,
             )
         nm, um = bool(_NANOMETRE.search(text)), bool(_MICROMETRE.search(text))
@@ -417,23 +470,6 @@ def _cells(rows: Sequence[tuple[int, str]], separator: str | None, path: Path) -
                 path, "not a number", where=f"line {line}", found=repr(_shorten(" ".join(cells))), accepted="numbers"
             )
     return split
-
-
-def _header_contradictions(header: Sequence[str], positions: Array) -> list[str]:
-    """Doubts about a table whose length or ends contradict the header."""
-    doubts = []
-    for line in header:
-        if (stated := _POINTS_STATED.fullmatch(line.strip())) and int(stated[1]) != positions.size:
-            doubts.append(
-                f"the header states {stated[1]} rows, {positions.size} were found. Look for rows lost or added"
-            )
-        if end := _END_STATED.fullmatch(line.strip()):
-            position, given = float(positions[0 if end[1].lower() == "first" else -1]), float(end[2])
-            if abs(position - given) > 1e-3 * given:
-                doubts.append(
-                    f"the header states a {end[1].lower()} X of {given:g}, {position:g} was found. Look for lost rows"
-                )
-    return doubts
 
 
 def _names(header: Sequence[str], separator: str | None, width: int) -> tuple[str, ...] | None:

@@ -136,7 +136,7 @@ def parse(path: Path) -> tuple[Any, Lines]:
         finally:
             loader.dispose()
     except yaml.YAMLError as error:
-        raise _syntax_refusal(path, error, last=len(text.splitlines())) from error
+        raise _syntax_refusal(path, error, text) from error
     except RecursionError as error:
         raise InputError(path, "nested too deeply") from error
     except ValueError as error:
@@ -187,9 +187,25 @@ def _refuse_unsafe(path: Path, node: yaml.Node, keys: tuple[str | int, ...], lin
             lines[(*keys, key.value)] = key.start_mark.line + 1
 
 
-def _syntax_refusal(path: Path, error: yaml.YAMLError, last: int) -> InputError:
+def _indenting_tab(text: str, line: int) -> int | None:
+    """Number of the line at or just above a mistake (counted from 0) that is indented by a tab; None if none is."""
+    lines = text.splitlines()
+    for number in (line, line - 1, line + 1):
+        if 0 <= number < len(lines) and re.match(r" *(?:- *)?\t", lines[number]):
+            return number + 1
+    return None
+
+
+def _syntax_refusal(path: Path, error: yaml.YAMLError, text: str) -> InputError:
+    last = len(text.splitlines())
     mark = getattr(error, "problem_mark", None) or getattr(error, "context_mark", None)
     problem = getattr(error, "problem", None) or getattr(error, "reason", None) or "cannot be read"
+    tab = _indenting_tab(text, mark.line if mark else 0)
+    if tab:
+        accepted = "spaces in its place"
+        return InputError(
+            path, "a tab in the indentation; YAML takes spaces alone", where=f"line {tab}", accepted=accepted
+        )
     return InputError(
         path,
         f"not valid YAML ({problem})",

@@ -153,6 +153,73 @@ def test_two_samples_of_one_name_are_chosen_by_number(tmp_path: Path) -> None:
     assert read(path, sample=2, scale="fraction")["total_reflectance"].values == pytest.approx(BLUE)
 
 
+def labelled(title: str, included: str, excluded: str, separator: str = ",") -> str:
+    """The red sample with the specular included (RED) and excluded (BLUE), and the cells of a column that says which."""
+    head, red, blue = wide(separator).replace('"blue"', "red").splitlines()
+    rows = zip((head, red, blue), (title, included, excluded), strict=True)
+    return "".join(
+        f"{row.partition(separator)[0]}{separator}{cell}{separator}{row.partition(separator)[2]}\n"
+        for row, cell in rows
+    )
+
+
+@pytest.mark.parametrize(
+    ("title", "included", "excluded"),
+    [
+        ("Mode", "SCI", "SCE"),
+        ("Specular", "Included", "Excluded"),
+        ("SCI/SCE", "I", "E"),
+        ("Glanz", "mit", "ohne"),
+        ("SCE", "no", "yes"),
+        ("Geometry", "di:8", "de:8"),
+        ("Measurement", "RSIN", "RSEX"),
+    ],
+)
+def test_a_row_labelled_sce_is_never_read_as_sci(tmp_path: Path, title: str, included: str, excluded: str) -> None:
+    path = write(tmp_path, "many.csv", labelled(title, included, excluded))
+    for geometry, values in (("sci", RED), ("sce", BLUE)):
+        for sample in (None, "red"):
+            spectrum = read(path, geometry=geometry, sample=sample, scale="fraction")
+            assert spectrum["total_reflectance"].values == pytest.approx(values)
+            assert spectrum.attrs["geometry"] == geometry
+    with pytest.raises(
+        InputError, match=r"sample 2: the sample is labelled SCE, and the description says SCI; .*red"
+    ) as refusal:
+        read(path, geometry="sci", sample=2, scale="fraction")
+    assert refusal.value.key == "spectrum.sample"
+    # Without a geometry in the description, the label states it.
+    assert read(path, geometry=None, sample=2, scale="fraction").attrs["geometry"] == "sce"
+
+
+def test_samples_of_one_name_are_told_apart_by_the_cells_that_differ(tmp_path: Path) -> None:
+    path = write(tmp_path, "many.csv", labelled("date", "2024-03-01", "2024-05-07"))
+    with pytest.raises(InputError, match=r"ambiguous sample name.*one of red, 2024-03-01, red, 2024-05-07"):
+        read(path, sample="red", scale="fraction")
+    spectrum = read(path, sample="Red, 2024-05-07", scale="fraction")
+    assert spectrum["total_reflectance"].values == pytest.approx(BLUE)
+
+
+@pytest.mark.parametrize("label", ["{}", "R{}", "{} nm"])
+def test_blank_separated_files_hold_one_row_a_sample_too(tmp_path: Path, label: str) -> None:
+    text = wide(" ", label).replace('"blue"', "deep sea blue")
+    spectrum = read(write(tmp_path, "many.txt", text), sample="deep sea blue", scale="fraction")
+    assert spectrum["wavelength"].values.tolist() == NM.tolist()
+    assert spectrum["total_reflectance"].values == pytest.approx(BLUE)
+    several = labelled("Mode", "SCI", "SCE", " ")
+    spectrum = read(write(tmp_path, "many.txt", several), geometry="sce", scale="fraction")
+    assert spectrum["total_reflectance"].values == pytest.approx(BLUE)
+    with pytest.raises(InputError, match="line 3: rows of unequal length"):
+        read(write(tmp_path, "many.txt", several.replace("SCE", "SCE of May")), sample=1, scale="fraction")
+
+
+def test_long_lists_of_samples_are_shortened(tmp_path: Path) -> None:
+    head, row, _ = wide().splitlines()
+    text = "\n".join([head, *(row.replace("red", f"plaque {k}") for k in range(300))]) + "\n"
+    with pytest.raises(InputError, match="plaque 9, …") as refusal:
+        read(write(tmp_path, "many.csv", text), scale="fraction")
+    assert len(str(refusal.value)) < 400
+
+
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [("red,0.05", "red,x", "line 2: not a number; found 'x"), ("red,", "red,1,", "line 2: rows of unequal")],

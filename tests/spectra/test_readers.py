@@ -71,11 +71,15 @@ def test_a_named_standard_deviation_becomes_the_uncertainty(shared_data: Path) -
 
 @pytest.mark.parametrize("index", [None, 1.55])
 def test_a_black_below_the_fresnel_reflectance_warns_that_the_specular_was_excluded(
-    shared_data: Path, index: float | None
+    shared_data: Path, tmp_path: Path, index: float | None
 ) -> None:
     spec = {"file": "abs_black_3col.txt", "geometry": "sci", "scale": "fraction"}
-    messages = " ".join(warnings(ingest(spec, shared_data / "spectra" / "abs_black_3col.txt", index)))
-    assert "the header says SCE" in messages
+    labelled = shared_data / "spectra" / "abs_black_3col.txt"
+    with pytest.raises(InputError, match=r"labelled SCE, and the description says SCI; .*accepted: `geometry: sce`"):
+        ingest(spec, labelled, index)
+    unlabelled = tmp_path / labelled.name
+    unlabelled.write_text(labelled.read_text().replace("SCE", "R"))
+    messages = " ".join(warnings(ingest(spec, unlabelled, index)))
     assert f"specular reflectance of a smooth surface of index {index or 1.45:g}" in messages
     assert "set `spectrum.geometry: sce`" in messages
 
@@ -426,6 +430,52 @@ def test_an_invalid_option_is_refused_with_its_key(read, options: dict, key: str
 def test_a_header_that_contradicts_the_specular_component_is_warned_about(read) -> None:
     spectrum = read("Mode: specular included\n" + HEAD + ROWS, geometry="sce")
     assert "the header says SCI; `spectrum.geometry: sce` in material.yaml was used" in warnings(spectrum)[0]
+
+
+BOTH = "nm;R SCI [%];R SCE [%]\n" + "".join(f"{nm};{24 + nm / 100:g};{20 + nm / 100:g}\n" for nm in range(400, 701, 20))
+
+
+@pytest.mark.parametrize("swapped", [False, True])
+def test_a_column_labelled_sce_is_never_read_as_sci(read, swapped: bool) -> None:
+    text = BOTH
+    if swapped:
+        text = "".join(
+            f"{line.split(';')[0]};{line.split(';')[2]};{line.split(';')[1]}\n" for line in BOTH.splitlines()
+        )
+    for geometry, value in (("sci", 0.28), ("sce", 0.24)):
+        spectrum = read(text, geometry=geometry)
+        assert float(spectrum["total_reflectance"][0]) == pytest.approx(value)
+        assert warnings(spectrum) == []
+    other = 2 if swapped else 3
+    with pytest.raises(
+        InputError, match="the column is labelled SCE, and the description says SCI; found column"
+    ) as refusal:
+        read(text, geometry="sci", column=other)
+    assert refusal.value.key == "spectrum.column"
+    assert read(text, geometry=None, column=other).attrs["geometry"] == "sce"
+
+
+def test_fractions_called_percent_are_named_as_such(read) -> None:
+    text = "nm;R\n" + "".join(f"{nm};{0.1973 + nm / 1000:.4f}\n" for nm in range(400, 701, 20))
+    with pytest.raises(
+        InputError, match=r"the scale is wrong.*`scale: percent`, values up to 0\.8973; accepted: fraction"
+    ) as refusal:
+        read(text, scale="percent")
+    assert refusal.value.key == "spectrum.scale"
+    (warning,) = warnings(read(text, scale="percent", geometry="sce"))
+    assert "If they are fractions, set `spectrum.scale: fraction`" in warning
+    # A dark sample in percent, with the two decimals of an instrument, is as it is.
+    dark = "nm;R\n" + "".join(f"{nm};{0.2 + nm / 10000:.2f}\n" for nm in range(400, 701, 20))
+    assert warnings(read(dark, scale="percent", geometry="sce")) == []
+
+
+def test_long_lists_of_columns_are_shortened(read) -> None:
+    names = ";".join(["nm", *(f"part no. {chr(97 + k % 26)}{chr(97 + k // 26)}" for k in range(300))])
+    text = names + "\n" + "".join(f"{nm};" + ";".join(["50"] * 300) + "\n" for nm in range(400, 701, 20))
+    assert all(len(text) < 500 for text in warnings(read(text)))
+    with pytest.raises(InputError, match="unknown column") as refusal:
+        read(text, column="zz")
+    assert len(str(refusal.value)) < 400
 
 
 def test_the_header_states_the_specular_component_if_no_option_does(read) -> None:

@@ -34,8 +34,20 @@ _COVERAGE = re.compile(
 _SQUARED = re.compile(r"²|\^\s?2|\bvar(?:iance)?\b|(?:std|sd|sigma|σ)2\b", re.IGNORECASE)
 _RELATIVE = re.compile(r"(?<![^\W_])rel(?:ative?)?(?![^\W_])|relativ|%\s?(?:of|von)\b|/\s?R\b|\bcv\b", re.IGNORECASE)
 _EXPANDED = re.compile(r"\s*(?:U\d*|.*_U)(?![^\W_])|.*(?i:expanded|erweitert|\b9\d(?:\.\d+)?\s?%)")
-_INCLUDED = re.compile(r"\bsci\b|\bspin\b|specular\s+(?:component\s+)?included", re.IGNORECASE)
-_EXCLUDED = re.compile(r"\bsce\b|\bspex\b|specular\s+(?:component\s+)?excluded", re.IGNORECASE)
+_INCLUDED = re.compile(
+    r"(?<![^\W_])(?:sci|spin|rsin)(?![^\W_])|\bdi\s?:\s?8|\b8°?\s?:\s?di\b|specular\s+(?:component\s+)?included|mit\s+glanz",
+    re.IGNORECASE,
+)
+_EXCLUDED = re.compile(
+    r"(?<![^\W_])(?:sce|spex|rsex)(?![^\W_])|\bde\s?:\s?8|\b8°?\s?:\s?de\b|specular\s+(?:component\s+)?excluded|ohne\s+glanz",
+    re.IGNORECASE,
+)
+_ABOUT_SPECULAR = re.compile(
+    r"\b(?:sc[ie]|sp(?:in|ex)|specular|spec|glanz|mode|modus|geometr(?:y|ie))\b", re.IGNORECASE
+)
+_WITH = re.compile(r"i|in|incl?\.?|included|inclusive|inkl\.?|mit|with", re.IGNORECASE)
+_WITHOUT = re.compile(r"e|ex|excl?\.?|excluded|exclusive|exkl\.?|ohne|without", re.IGNORECASE)
+_YES, _NO = re.compile(r"yes|y|ja|true|1|x|on", re.IGNORECASE), re.compile(r"no|n|nein|false|0|off", re.IGNORECASE)
 _LIGHT_FROM = re.compile(r"\blight from (\d+(?:\.\d+)?) degree")
 
 
@@ -91,6 +103,21 @@ def geometry(words: str) -> str | None:
     """``sci`` or ``sce``, specular component included or excluded; None if not stated, or both."""
     included, excluded = bool(_INCLUDED.search(words)), bool(_EXCLUDED.search(words))
     return None if included == excluded else "sci" if included else "sce"
+
+
+def geometry_of_cell(title: str, cell: str) -> str | None:
+    """``sci`` or ``sce`` as a cell of a table says, such as ``SCE``, or ``E`` below the title ``SCI/SCE``; None if it does not."""
+    cell = cell.strip()
+    if not _ABOUT_SPECULAR.search(title):
+        return geometry(cell)
+    if _WITH.fullmatch(cell) or _WITHOUT.fullmatch(cell):
+        return "sci" if _WITH.fullmatch(cell) else "sce"
+    of_title = geometry(title)
+    if of_title and _YES.fullmatch(cell):
+        return of_title
+    if of_title and _NO.fullmatch(cell):
+        return "sce" if of_title == "sci" else "sci"
+    return geometry(cell)
 
 
 def incidence(words: str) -> float | None:

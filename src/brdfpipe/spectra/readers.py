@@ -13,7 +13,8 @@ from brdfpipe import columns, vocabulary
 from brdfpipe.columns import Columns
 from brdfpipe.errors import InputError
 from brdfpipe.geometry import Array
-from brdfpipe.spectra import damage, header_words
+from brdfpipe.spectra import column_choice, damage, header_words
+from brdfpipe.spectra.column_choice import in_words, title_of
 from brdfpipe.spectra.formats import registry
 
 GEOMETRIES = ("sci", "sce")
@@ -26,6 +27,8 @@ _RANGE = (360.0, 830.0)
 _WIDEST_GAP = 25.0
 _DARKEST_PERCENT = 2.0
 _BRIGHTEST = 1.1
+_FINE_DIGIT = 1.01e-4
+"""Last digit of values that are fractions rather than percent of a dark sample."""
 _NOISE = 0.01
 _REPEATABILITY, _ABSOLUTE_REPEATABILITY = 0.02, 0.001
 """Tolerated deviation of repeated readings from their mean: relative to it, and absolute."""
@@ -65,7 +68,8 @@ def read_spectrum(
     geometry : ``sci`` or ``sce``, specular component included or excluded; by default from the file
     incidence : degree, 0 <= incidence < 90, of the measurement; by default from the file, or 8
     format : a key of :data:`brdfpipe.spectra.formats.registry.FORMATS`; by default from the extension
-    sample : number (from 1) or name, if the file has several
+    sample : number (from 1) or name, if the file has several; of samples of one name with the cells that differ, as in ``Red, SCE``,
+        unless the geometry tells them apart
     scale : ``fraction`` or ``percent``; required if the header does not state it and no value exceeds 2
     column : number (the wavelength is column 1) or name of the reflectance; by default the first that is not an uncertainty
     uncertainty : number or name of the column of standard uncertainties; by default the next column, if its name says so
@@ -88,13 +92,17 @@ def read_spectrum(
     if scale is not None and scale not in SCALES:
         found, accepted = repr(scale)[:40], " or ".join(SCALES)
         raise InputError(path, "unknown scale", found=found, accepted=accepted, key="spectrum.scale")
-    table = registry.read(path, format, sample)
+    table = registry.read(path, format, sample, geometry)
     log = _Log(table.file, list(table.notes))
     log.warn(*(f"{doubt}." for doubt in table.doubts))
     nm, note = columns.wavelengths(table, key="spectrum.file")
     log.history += [note] if note else []
-    value, deviation = _chosen_columns(table, column, uncertainty, log)
-    divisor = _divisor(table, value, nm, scale, log)
+    chosen = column_choice.chosen(table, column, uncertainty, geometry)
+    value, deviation = chosen.value, chosen.deviation
+    log.history += chosen.history
+    log.warn(*chosen.warnings)
+    stated_geometry = _geometry(table, value, geometry, log)
+    divisor = _divisor(table, value, nm, scale, stated_geometry, log)
     wavelength, reflectance, u = _ordered(table, nm, value, deviation, divisor, log)
     log.warn(*damage.outliers(wavelength, reflectance, columns.last_digit(table.values[:, value]) / divisor))
     log.warn(*damage.jumps(wavelength, reflectance))
@@ -102,7 +110,7 @@ def read_spectrum(
     if u is not None:
         variables["total_reflectance_u"] = ("wavelength", u)
     attrs = {
-        "geometry": _geometry(table, value, geometry, log),
+        "geometry": stated_geometry,
         "theta_i": _incidence(table, incidence, log),
         "method": "measured",
     }
@@ -132,88 +140,13 @@ def check_incidence(file: str | Path, incidence: float | None) -> None:
     raise InputError(file, "invalid incidence angle", found=found, accepted=accepted, key="spectrum.incidence")
 
 
-def _chosen_columns(
-    table: Columns, column: int | str | None, uncertainty: int | str | None, log: _Log
-) -> tuple[int, int | None]:
-    """Columns of the reflectance and of its standard uncertainty, counted from 0."""
-    width, names = table.values.shape[1], table.names or ()
-    uncertainties = {i for i in range(1, width) if names and header_words.is_uncertainty(names[i], names)}
-    values = [i for i in range(1, width) if i not in uncertainties]
-    if column is not None:
-        value = _position(table, column, "spectrum.column")
-    elif values:
-        value = values[0]
-    else:
-        problem, found = "every column is an uncertainty; no column of reflectances", ", ".join(names)
-        raise InputError(table.file, problem, found=found, accepted="a number or name", key="spectrum.column")
-    deviation = value + 1 if value + 1 in uncertainties else None
-    if uncertainty is not None:
-        deviation = _position(table, uncertainty, "spectrum.uncertainty")
-    read: list[int | None] = [value, deviation]
-    if deviation is not None and (problem := _unusable(table, value, deviation)):
-        column_words = _column_words(table, deviation)
-        if uncertainty is not None:
-            raise InputError(
-                table.file,
-                f"{column_words} is not a standard uncertainty",
-                found=problem,
-                accepted="absolute standard uncertainties (k = 1, or `k = …` in the title), none below 0",
-                key="spectrum.uncertainty",
-            )
-        log.warn(
-            f"the uncertainty in {column_words} was ignored: {problem}. Give absolute standard uncertainties, or the coverage factor in "
-            "the title, as in `U (k=2)`."
-        )
-        deviation = None
-    if deviation is not None:
-        k = header_words.coverage_factor(_title(table, deviation))
-        how = f", after division by k = {k:g}" if k != 1 else ""
-        log.history.append(f"{_column_words(table, deviation)} was read as the standard uncertainty (k = 1){how}")
-    unused = ", ".join(_column_words(table, i) for i in range(1, width) if i not in read)
-    if unused:
-        sentence = f"{_column_words(table, value)} was read; ignored: {unused}"
-        log.history.append(f"{table.file}: {sentence}")
-        if column is None:
-            log.warn(f"{sentence}. Name the column to read with `spectrum.column` in material.yaml.")
-    return value, deviation
-
-
-def _unusable(table: Columns, value: int, deviation: int) -> str:
-    """Why a column cannot hold absolute standard uncertainties; empty if it can."""
-    negative = table.values[:, deviation] < 0
-    problem = header_words.unusable_uncertainty(_title(table, deviation), _title(table, value))
-    if not problem and negative.any():
-        return f"{int(negative.sum())} values are negative, the first in line {table.lines[np.argmax(negative)]}"
-    return problem
-
-
-def _position(table: Columns, column: int | str, key: str) -> int:
-    """Position, counted from 0, of a column given by number or name."""
-    width, names = table.values.shape[1], table.names or ()
-    if isinstance(column, int) and not isinstance(column, bool) and 2 <= column <= width:
-        return column - 1
-    if isinstance(column, str):
-        matches = [i for i, name in enumerate(names) if i and name.casefold() == column.strip().casefold()]
-        if len(matches) == 1:
-            return matches[0]
-    choice = f", or one of {', '.join(names[1:])}" if names else " (the columns have no names)"
-    found, accepted = repr(column)[:60], f"2 to {width}{choice}"
-    raise InputError(table.file, "unknown column", found=found, accepted=accepted, key=key)
-
-
-def _title(table: Columns, i: int) -> str:
-    return table.names[i] if table.names else ""
-
-
-def _column_words(table: Columns, i: int) -> str:
-    return f"column {i + 1}" + (f" ({table.names[i]})" if table.names else "")
-
-
-def _divisor(table: Columns, value: int, nm: Array, scale: str | None, log: _Log) -> float:
+def _divisor(table: Columns, value: int, nm: Array, scale: str | None, geometry: str, log: _Log) -> float:
     """Divisor that converts the file's values to a reflectance in [0, 1]."""
     present = table.values[np.isfinite(nm) & np.isfinite(table.values[:, value]), value]
     largest = float(present.max()) if present.size else 0.0
-    stated = header_words.scale(table.file, _title(table, value), table.header)
+    stated = header_words.scale(table.file, title_of(table, value), table.header)
+    if scale == "percent" and stated != "percent" and largest <= 1:
+        log.warn(*_fractions_as_percent(table, present, largest, geometry))
     if scale is not None and stated is not None and scale != stated:
         log.warn(
             f"the header says {stated}; `spectrum.scale: {scale}` in material.yaml was used. Remove the key if the header is right."
@@ -244,15 +177,32 @@ def _divisor(table: Columns, value: int, nm: Array, scale: str | None, log: _Log
     return 100.0
 
 
+def _fractions_as_percent(table: Columns, present: Array, largest: float, geometry: str) -> list[str]:
+    """A doubt whether values up to 1 are percent, as the description says; refused where no surface reflects so little."""
+    if geometry == "sci":
+        raise InputError(
+            table.file,
+            "the scale is wrong: with the specular included, even a smooth black surface reflects 4 percent",
+            found=f"`scale: percent`, values up to {largest:g}",
+            accepted="fraction, if the values run from 0 to 1; or `geometry: sce`, if the sample is that dark",
+            key="spectrum.scale",
+        )
+    if columns.last_digit(present) > _FINE_DIGIT:
+        return []
+    return [
+        f"no value exceeds {largest:g} percent, and they have four decimals or more. If they are fractions, set `spectrum.scale: fraction`."
+    ]
+
+
 def _u_divisor(table: Columns, deviation: int, divisor: float, log: _Log) -> float:
     """Divisor that converts the file's uncertainties to standard uncertainties of a reflectance in [0, 1]."""
-    title = _title(table, deviation)
+    title = title_of(table, deviation)
     k, scale = header_words.coverage_factor(title), header_words.uncertainty_scale(title)
     if divisor != 1 and scale == "fraction":
         return k
     if divisor != 1 and title and scale is None:
         log.warn(
-            f"{_column_words(table, deviation)} has no unit; percent was assumed, the unit of the reflectance. Write `{title} [%]` or "
+            f"{in_words(table, deviation)} has no unit; percent was assumed, the unit of the reflectance. Write `{title} [%]` or "
             f"`{title} [1]` as its title."
         )
     return k * divisor
@@ -365,7 +315,8 @@ def _checked_values(wavelength: Array, reflectance: Array, allow_fluorescent: bo
 
 def _geometry(table: Columns, value: int, geometry: str | None, log: _Log) -> str:
     """Specular component included or excluded: from material.yaml, or else from the file."""
-    stated = header_words.geometry(" ".join([*table.header, _title(table, value)]))
+    # The title of the column counts before the words above it, which may speak of other columns.
+    stated = header_words.geometry(title_of(table, value)) or header_words.geometry(" ".join(table.header))
     if geometry is None:
         check_geometry(table.file, stated)
         log.history.append(f"geometry {stated} was read from the file")

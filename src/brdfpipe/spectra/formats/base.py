@@ -38,6 +38,8 @@ class Sample(NamedTuple):
     """nm, um, or empty if the file does not state it"""
     doubts: tuple[str, ...] = ()
     """Signs of lost or damaged values, in words"""
+    labels: tuple[tuple[str, str], ...] = ()
+    """Title and text of the other cells that describe it, such as a date, or the specular component"""
 
 
 Content = tuple[Columns | list[Sample], list[str]]
@@ -82,10 +84,11 @@ def parsed_sample(
     *,
     doubts: tuple[str, ...] = (),
     decimal: str = ".",
+    labels: tuple[tuple[str, str], ...] = (),
 ) -> Sample:
     """A sample of printed numbers, with doubts about those of fewer digits than the others; ``where`` is for messages."""
     cut = columns.odd_decimals(cells, lambda i: f"at {wavelength[i]:g} nm")
-    return Sample(name, wavelength, parse_numbers(path, where, cells, decimal), header, unit, (*doubts, *cut))
+    return Sample(name, wavelength, parse_numbers(path, where, cells, decimal), header, unit, (*doubts, *cut), labels)
 
 
 def doubt_of_end(wavelength: Array, step: float) -> tuple[str, ...]:

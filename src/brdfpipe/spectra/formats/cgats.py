@@ -13,6 +13,9 @@ from brdfpipe.spectra.formats import base
 
 _BAND = re.compile(r"(?:SPEC|SPECTRAL|SPECTRAL_NM|NM|R)_?(\d{3,4}(?:\.\d+)?)", re.IGNORECASE)
 
+_VALUE = re.compile(r"(?:LAB|XYZ|RGB|CMYK|DENSITY|STDEV|LCH)_", re.IGNORECASE)
+"""Fields of other values, which do not describe a sample."""
+
 
 def _samples(path: Path, text: str) -> list[base.Sample]:
     samples: list[base.Sample] = []
@@ -49,6 +52,8 @@ def _table_samples(
         raise InputError(path, "not a reflectance", found="DEVICE_CLASS DISPLAY", accepted="reflectance of a print")
     sets = base.stated_number(path, "NUMBER_OF_SETS", keywords.get("NUMBER_OF_SETS", ""))
     base.check_count(path, len(data), sets * len(fields))
+    if "NUMBER_OF_FIELDS" in keywords:
+        base.check_count(path, len(fields), base.stated_number(path, "NUMBER_OF_FIELDS", keywords["NUMBER_OF_FIELDS"]))
     wavelength = np.array(list(bands.values()))
     if "SPECTRAL_BANDS" in keywords:
         low, high, count = (
@@ -75,7 +80,10 @@ def _table_samples(
     for number, start in enumerate(range(0, len(data), len(fields)), start=1):
         row = data[start : start + len(fields)]
         name, cells = row[names[0]] if names else str(number), [row[i] for i in bands]
-        samples.append(base.parsed_sample(path, f"set {number}", name, wavelength, cells, (scale,)))
+        labels = tuple(
+            (fields[i], row[i]) for i in range(len(fields)) if i not in bands and not _VALUE.match(fields[i])
+        )
+        samples.append(base.parsed_sample(path, f"set {number}", name, wavelength, cells, (scale,), labels=labels))
     return samples
 
 

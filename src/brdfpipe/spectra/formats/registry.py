@@ -6,15 +6,14 @@ in part.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
 from brdfpipe.columns import Columns
-from brdfpipe.errors import InputError, abbreviated
+from brdfpipe.errors import InputError
 from brdfpipe.file_formats import format_of
-from brdfpipe.spectra.formats import cgats, cxf, excel, jcamp, perkinelmer, qtx, text
+from brdfpipe.spectra.formats import cgats, cxf, excel, jcamp, perkinelmer, qtx, sample_choice, text
 from brdfpipe.spectra.formats.base import UNSCALED, SpectrumFormat
 
 FORMATS: dict[str, SpectrumFormat] = {
@@ -22,11 +21,10 @@ FORMATS: dict[str, SpectrumFormat] = {
 }
 """Formats of spectrum files by name. To add one, write a module like :mod:`.qtx` and list it above."""
 
-_MOST_NAMES = 10
-"""Names of samples that a message lists."""
 
-
-def read(path: Path, format: str | None = None, sample: int | str | None = None) -> Columns:
+def read(
+    path: Path, format: str | None = None, sample: int | str | None = None, geometry: str | None = None
+) -> Columns:
     """Read one spectrum from a file of any known format; the options are those of :func:`brdfpipe.spectra.readers.read_spectrum`.
 
     Returns
@@ -41,37 +39,13 @@ def read(path: Path, format: str | None = None, sample: int | str | None = None)
         raise InputError(
             path, "the file has columns, not samples", found=found, accepted=accepted, key="spectrum.column"
         )
-    place = _place(path, [known.name for known in content], sample)
+    place = sample_choice.chosen(path, content, sample, geometry)
     chosen = content[place]
     if len(content) > 1:
         notes = [*notes, f"sample {place + 1} of {len(content)} was read ({chosen.name[:60]})"]
+    own = sample_choice.stated_geometry(chosen)
+    name = f"{UNSCALED} {own.upper()}" if own else UNSCALED
     values = np.column_stack([chosen.wavelength, chosen.values])
     title = {"nm": "wavelength [nm]", "um": "wavelength [µm]"}.get(chosen.unit, "wavelength")
     lines = np.zeros(len(values), dtype=np.int64)
-    return Columns(path.name, chosen.header, (title, UNSCALED), values, lines, tuple(notes), chosen.doubts)
-
-
-def _place(path: Path, names: Sequence[str], sample: int | str | None) -> int:
-    """Position of the chosen sample, counted from 0."""
-    if not names:
-        raise InputError(path, "no reflectance spectrum in the file", key="spectrum.file")
-    if sample is None and len(names) == 1:
-        return 0
-    if isinstance(sample, int) and not isinstance(sample, bool) and 1 <= sample <= len(names):
-        return sample - 1
-    wanted = sample.strip().casefold() if isinstance(sample, str) else None
-    matches = [i for i, name in enumerate(names) if name.strip().casefold() == wanted]
-    if len(matches) == 1:
-        return matches[0]
-    shown = abbreviated(names, _MOST_NAMES)
-    problem, accepted = "unknown sample; the file has one", f"1 or {shown}, or no key"
-    if len(names) > 1:
-        problem = f"the file has {len(names)} samples; choose one"
-        accepted = f"1 to {len(names)}, or one of {shown}"
-    raise InputError(
-        path,
-        "ambiguous sample name" if matches else problem,
-        found=None if sample is None else repr(sample)[:60],
-        accepted=accepted,
-        key="spectrum.sample",
-    )
+    return Columns(path.name, chosen.header, (title, name), values, lines, tuple(notes), chosen.doubts)

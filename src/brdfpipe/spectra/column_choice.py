@@ -1,0 +1,151 @@
+"""Which columns of a table hold the reflectance and its standard uncertainty."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from brdfpipe.columns import Columns
+from brdfpipe.errors import InputError, abbreviated
+from brdfpipe.spectra import header_words
+
+_MOST_NAMES = 10
+"""Columns that a message lists."""
+
+
+@dataclass(frozen=True)
+class ChosenColumns:
+    """Columns, counted from 0, with corrections for the history and doubts for the warnings."""
+
+    value: int = 1
+    deviation: int | None = None
+    history: list[str] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
+
+
+def chosen(
+    table: Columns, column: int | str | None, uncertainty: int | str | None, geometry: str | None
+) -> ChosenColumns:
+    """Columns of the reflectance and of its standard uncertainty.
+
+    Parameters
+    ----------
+    table : the first column is the wavelength
+    column, uncertainty : number (the wavelength is 1) or name; by default the first column that is not an uncertainty, and the next one
+        if its title says so
+    geometry : ``sci`` or ``sce``, if known: a column with the other label is never taken
+
+    Raises
+    ------
+    InputError : no such column, or one that holds something else.
+    """
+    width, names = table.values.shape[1], table.names or ()
+    uncertainties = {i for i in range(1, width) if names and header_words.is_uncertainty(names[i], names)}
+    values = [i for i in range(1, width) if i not in uncertainties]
+    log = ChosenColumns()
+    if column is not None:
+        value = _position(table, column, "spectrum.column")
+        _refuse_other_geometry(table, [value], geometry)
+    elif values:
+        value = _of_geometry(table, values, geometry)
+    else:
+        problem, found = "every column is an uncertainty; no column of reflectances", abbreviated(names, _MOST_NAMES)
+        raise InputError(table.file, problem, found=found, accepted="a number or name", key="spectrum.column")
+    deviation = value + 1 if value + 1 in uncertainties else None
+    if uncertainty is not None:
+        deviation = _position(table, uncertainty, "spectrum.uncertainty")
+    read: list[int | None] = [value, deviation]
+    if deviation is not None and (problem := _unusable(table, value, deviation)):
+        column_words = in_words(table, deviation)
+        if uncertainty is not None:
+            raise InputError(
+                table.file,
+                f"{column_words} is not a standard uncertainty",
+                found=problem,
+                accepted="absolute standard uncertainties (k = 1, or `k = …` in the title), none below 0",
+                key="spectrum.uncertainty",
+            )
+        log.warnings.append(
+            f"the uncertainty in {column_words} was ignored: {problem}. Give absolute standard uncertainties, or the coverage factor in "
+            "the title, as in `U (k=2)`."
+        )
+        deviation = None
+    if deviation is not None:
+        k = header_words.coverage_factor(title_of(table, deviation))
+        how = f", after division by k = {k:g}" if k != 1 else ""
+        log.history.append(f"{in_words(table, deviation)} was read as the standard uncertainty (k = 1){how}")
+    unused = [i for i in range(1, width) if i not in read]
+    if unused:
+        listed = abbreviated([in_words(table, i) for i in unused], _MOST_NAMES)
+        sentence = f"{in_words(table, value)} was read; ignored: {listed}"
+        log.history.append(f"{table.file}: {sentence}")
+        told_apart = geometry is not None and all(_stated(table, i) not in (None, geometry) for i in unused)
+        if column is None and not told_apart:
+            log.warnings.append(f"{sentence}. Name the column to read with `spectrum.column` in material.yaml.")
+    return replace(log, value=value, deviation=deviation)
+
+
+def _stated(table: Columns, i: int) -> str | None:
+    return header_words.geometry(title_of(table, i))
+
+
+def _of_geometry(table: Columns, values: Sequence[int], geometry: str | None) -> int:
+    """The first column with the label of the geometry, or else the first without any."""
+    if geometry is None:
+        return values[0]
+    for label in (geometry, None):
+        for i in values:
+            if _stated(table, i) == label:
+                return i
+    _refuse_other_geometry(table, values, geometry)
+    return values[0]
+
+
+def _refuse_other_geometry(table: Columns, values: Sequence[int], geometry: str | None) -> None:
+    """Refuse columns that are labelled with the other specular component."""
+    own = _stated(table, values[0])
+    if geometry is None or own in (None, geometry):
+        return
+    fitting = [in_words(table, i) for i in range(1, table.values.shape[1]) if _stated(table, i) == geometry]
+    raise InputError(
+        table.file,
+        f"the column is labelled {str(own).upper()}, and the description says {geometry.upper()}",
+        found=in_words(table, values[0]),
+        accepted=f"`geometry: {own}`" + (f", or {abbreviated(fitting, _MOST_NAMES)}" if fitting else ""),
+        key="spectrum.column" if fitting else "spectrum.geometry",
+    )
+
+
+def _unusable(table: Columns, value: int, deviation: int) -> str:
+    """Why a column cannot hold absolute standard uncertainties; empty if it can."""
+    negative = table.values[:, deviation] < 0
+    problem = header_words.unusable_uncertainty(title_of(table, deviation), title_of(table, value))
+    if not problem and negative.any():
+        return f"{int(negative.sum())} values are negative, the first in line {table.lines[np.argmax(negative)]}"
+    return problem
+
+
+def _position(table: Columns, column: int | str, key: str) -> int:
+    """Position, counted from 0, of a column given by number or name."""
+    width, names = table.values.shape[1], table.names or ()
+    if isinstance(column, int) and not isinstance(column, bool) and 2 <= column <= width:
+        return column - 1
+    if isinstance(column, str):
+        matches = [i for i, name in enumerate(names) if i and name.casefold() == column.strip().casefold()]
+        if len(matches) == 1:
+            return matches[0]
+    choice = f", or one of {abbreviated(names[1:], _MOST_NAMES)}" if names else " (the columns have no names)"
+    found, accepted = repr(column)[:60], f"2 to {width}{choice}"
+    raise InputError(table.file, "unknown column", found=found, accepted=accepted, key=key)
+
+
+def title_of(table: Columns, i: int) -> str:
+    """Title of a column, counted from 0; empty without titles."""
+    return table.names[i] if table.names else ""
+
+
+def in_words(table: Columns, i: int) -> str:
+    """Number and title of a column, counted from 0, for messages."""
+    return f"column {i + 1}" + (f" ({table.names[i]})" if table.names else "")
