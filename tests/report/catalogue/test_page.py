@@ -301,7 +301,7 @@ def _heads(html: str) -> list[str]:
 def test_only_columns_that_some_material_has_are_shown(full: Datasets) -> None:
     appearance = full["appearance"].isel(gloss_angle=[2]).assign(haze=np.nan)
     heads = _heads(catalogue_page(combine([_row({"appearance": appearance, "facets": full["facets"]}, "a")]), {}))
-    assert heads == ["Material", "Gloss 85°", "L*", "a*", "b*", "rms slope", "Anisotropy", "Verdict", "Warnings"]
+    assert heads == ["Material", "Verdict", "Warnings", "Gloss 85°", "L*", "a*", "b*", "rms slope", "Anisotropy"]
     assert _heads(catalogue_page(combine([_row({"index": full["index"]}, "a")]), {})) == [
         "Material",
         "Verdict",

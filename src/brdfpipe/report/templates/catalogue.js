@@ -3,15 +3,17 @@
   const $ = (id) => document.getElementById(id);
   const table = $("materials"), body = table.tBodies[0], heads = [...table.tHead.rows[0].cells];
   const rank = { fail: 0, warn: 1, pass: 2 };
-  const last = heads.length - 1;
+  const verdict = 1, warnings = 2; // columns
   const rows = [...body.rows].map((row) => {
+    const words = row.cells[0].querySelector("small");
+    if (words) words.title = words.textContent; // the table shows three lines of it
     const cells = [...row.cells].map((cell, k) => {
       const text = (cell.querySelector("a, b") || cell).textContent.trim(); // the name, the verdict, else a number
       if (k === 0) return text.toLowerCase();
       if (text in rank) return rank[text];
-      return k === last && text === "" ? 0 : parseFloat(text.replace("\u2212", "-"));
+      return k === warnings && text === "" ? 0 : parseFloat(text.replace("\u2212", "-"));
     });
-    return { row, cells, text: row.cells[0].textContent.toLowerCase(), verdict: row.cells[last - 1].querySelector("b").textContent };
+    return { row, cells, text: row.cells[0].textContent.toLowerCase(), verdict: row.cells[verdict].querySelector("b").textContent };
   });
   const order = (a, b) => (typeof a === "string" ? a.localeCompare(b, "en", { numeric: true }) : a - b);
   const sort = (column, sign) => {
@@ -27,7 +29,7 @@
     button.type = "button";
     button.textContent = head.textContent;
     head.replaceChildren(button);
-    head.ariaSort = column === last - 1 ? "ascending" : "none"; // as the page comes
+    head.ariaSort = column === verdict ? "ascending" : "none"; // as the page comes
     button.addEventListener("click", () => {
       const up = head.ariaSort !== "ascending";
       heads.forEach((other) => { other.ariaSort = "none"; });
@@ -36,10 +38,10 @@
     });
   });
   const filter = () => {
-    const words = $("words").value.toLowerCase().split(/\s+/).filter(Boolean), verdict = $("verdict").value;
+    const words = $("words").value.toLowerCase().split(/\s+/).filter(Boolean), wanted = $("verdict").value;
     let shown = 0;
     for (const entry of rows) {
-      const keep = (!verdict || entry.verdict === verdict) && words.every((word) => entry.text.includes(word));
+      const keep = (!wanted || entry.verdict === wanted) && words.every((word) => entry.text.includes(word));
       entry.row.hidden = !keep;
       shown += keep;
     }
