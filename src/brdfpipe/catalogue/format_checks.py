@@ -1,4 +1,4 @@
-"""Checks of a material that need no reading of its raw files: extensions, readers, names of plastics and illuminants."""
+"""Checks of a material that need no reading of its raw files: extensions, readers and whether they are installed, names of plastics and illuminants."""
 
 from __future__ import annotations
 
@@ -26,6 +26,7 @@ def check_formats(material: Material) -> None:
     from brdfpipe.optics.index import refractive_index
     from brdfpipe.spectra.formats.registry import FORMATS as SPECTRUM_FORMATS
     from brdfpipe.surfaces.reading import FORMATS as SURFACE_FORMATS
+    from brdfpipe.surfaces.reading import check_readable
 
     suffixes = {"spectrum": extensions(SPECTRUM_FORMATS), "index": tuple(index.READERS)}
     surface_suffixes = extensions(SURFACE_FORMATS)
@@ -53,6 +54,8 @@ def check_formats(material: Material) -> None:
                 accepted=", ".join(sorted(accepted)),
                 key=f"{key}.format" if is_surface else f"{key}.file",
             )
+        if is_surface:
+            check_readable(path, block.get("format"))
     if material.has("index") and "index" not in material.files:
         refractive_index(content["index"])
     if "illuminant" in content.get("spectrum", {}):

@@ -122,11 +122,15 @@ def prune(catalogue: Path, results: Path, keep: int, dry_run: bool) -> int:
 @click.argument("catalogue", type=FOLDER)
 @click.option("--config", type=FILE, default=None, help="Configuration instead of the project's config/config.yaml.")
 @click.option("--scene", default=None, metavar="NAME|FILE", help="As for `brdfpipe build`.")
+@click.option(
+    "--read", "reads", is_flag=True, help="Read every raw file too, as the build does, and say what it holds."
+)
 @exit_on_error
-def check(catalogue: Path, config: Path | None, scene: str | None) -> int:
-    """Check descriptions, keys, scenes, files and formats of CATALOGUE; raw files are read by the build.
+def check(catalogue: Path, config: Path | None, scene: str | None, reads: bool) -> int:
+    """Check descriptions, keys, scenes, files and formats of CATALOGUE; raw files are read with --read alone.
 
-    Lists every mistake of a description. A text file whose unit or pitch must be a key is refused by the build alone.
+    Lists every mistake of a description. What only the content of a raw file shows, such as a text file whose unit or pitch must be a
+    key, --read refuses in the words of the build. It computes nothing.
 
     Exit code: 1 if a material is wrong or needs a reader that is not installed.
     """
@@ -134,27 +138,27 @@ def check(catalogue: Path, config: Path | None, scene: str | None) -> int:
     from brdfpipe.catalogue.configuration import load_config
     from brdfpipe.catalogue.format_checks import check_formats
     from brdfpipe.catalogue.material import summary_words
+    from brdfpipe.catalogue.raw_reading import describe_files
     from brdfpipe.jobs.runs import planned_runs
     from brdfpipe.jobs.scene_notices import scene_notices
-    from brdfpipe.surfaces.reading import check_readable
 
     loaded = load(catalogue, load_config(config), scene)
     problems = {**loaded.failures, **planned_runs(loaded)[1]}
-    summaries = {}
+    summaries, contents = {}, {}
     for material in loaded.materials:
         if material.name in problems:
             continue
         try:
             check_formats(material)
-            for part, path in material.files.items():
-                if part.startswith("surface"):
-                    check_readable(path, material.content["surface"].get("format"))
+            contents[material.name] = describe_files(loaded, material) if reads else []
         except BrdfpipeError as refusal:
             problems[material.name] = str(refusal)
         else:
             summaries[material.name] = f"ok ({', '.join(summary_words(material))})"
     for name, message in sorted({**problems, **summaries}.items()):
         click.echo(f"{name}: {message}")
+        for line in contents.get(name, ()):
+            click.echo(printable(f"  {line}"))
         for further in loaded.further_problems.get(name, ()):
             click.echo(f"  also {further}")
     for name, reason in ignored(loaded.folder).items():

@@ -18,9 +18,9 @@ import xarray as xr
 
 from brdfpipe import vocabulary
 from brdfpipe.facets.height_maps import estimate_from_maps
-from brdfpipe.facets.line_profiles import METHODS, estimate_from_lines
+from brdfpipe.facets.line_profiles import METHODS, check_directions, estimate_from_lines
 from brdfpipe.facets.slope_histogram import FacetError
-from brdfpipe.psd.scans import WELL_SAMPLED, commonly_filtered, sort_scans
+from brdfpipe.psd.scans import WELL_SAMPLED, SortedScans, commonly_filtered, sort_scans
 
 _TOLERANCE = 1.01
 _RESOLVING = 0.275
@@ -64,20 +64,8 @@ def estimate(
     VocabularyError : a dataset is not of kind ``surface``.
     """
     scans = [surface] if isinstance(surface, xr.Dataset) else list(surface)
-    if not scans:
-        raise FacetError("no scan of a surface given; accepted: one scan, or several of one surface")
-    if method not in METHODS:
-        raise FacetError(f"unknown method {method!r}; accepted: {', '.join(METHODS)}")
-    for scan in scans:
-        vocabulary.validate(scan, "surface")
-    scans, extending, known_noise = sort_scans(scans, noise, noise_uncertainty)
-    dimensions = {scan["height"].ndim for scan in scans}
-    if len(dimensions) != 1:
-        raise FacetError(
-            f"scans of one surface must be all maps or all lines; found {len(scans)} scans of {sorted(dimensions)} dimensions"
-        )
-    _check_consistent(scans)
-    if dimensions == {1}:
+    scans, extending, known_noise = _sorted_scans(scans, method, noise, noise_uncertainty)
+    if scans[0]["height"].ndim == 1:
         return _with_others_stated(estimate_from_lines(scans, method, isotropic, known_noise), scans[0], extending)
     facets = _with_others_stated(estimate_from_maps(scans, isotropic, known_noise), scans[0], extending)
     if method == METHODS[0]:
@@ -87,6 +75,41 @@ def estimate(
         f"surface.method {method} is for line profiles and was ignored: an areal map gives slopes in all directions; "
         "remove `surface.method`",
     )
+
+
+def check_scans(
+    scans: Sequence[xr.Dataset],
+    *,
+    method: str = "mixture",
+    isotropic: bool | None = None,
+    noise: float | None = None,
+    noise_uncertainty: float | None = None,
+) -> None:
+    """Refuse scans that :func:`estimate` would refuse before it counts a facet: of unlike kind, bandwidth or direction."""
+    counted, _, _ = _sorted_scans(scans, method, noise, noise_uncertainty)
+    if counted[0]["height"].ndim == 1:
+        check_directions(counted, method, isotropic)
+
+
+def _sorted_scans(
+    scans: Sequence[xr.Dataset], method: str, noise: float | None, noise_uncertainty: float | None
+) -> SortedScans:
+    """The scans of a surface by what they are for, those to count of one kind and bandwidth."""
+    if not scans:
+        raise FacetError("no scan of a surface given; accepted: one scan, or several of one surface")
+    if method not in METHODS:
+        raise FacetError(f"unknown method {method!r}; accepted: {', '.join(METHODS)}")
+    for scan in scans:
+        vocabulary.validate(scan, "surface")
+    sorted_scans = sort_scans(scans, noise, noise_uncertainty)
+    counted = sorted_scans[0]
+    dimensions = {scan["height"].ndim for scan in counted}
+    if len(dimensions) != 1:
+        raise FacetError(
+            f"scans of one surface must be all maps or all lines; found {len(counted)} scans of {sorted(dimensions)} dimensions"
+        )
+    _check_consistent(counted)
+    return sorted_scans
 
 
 def _with_others_stated(facets: xr.Dataset, first: xr.Dataset, extending: Sequence[xr.Dataset]) -> xr.Dataset:

@@ -71,8 +71,14 @@ def estimate_from_lines(
     lines: Sequence[xr.Dataset], method: str, isotropic: bool | None, noise: float | NoiseFloor | None
 ) -> xr.Dataset:
     """Facet distribution of levelled line profiles; see :func:`brdfpipe.facets.estimate`."""
+    directions = check_directions(lines, method, isotropic)
+    return _isotropic(lines, method, noise) if isotropic is True else _perpendicular(directions, noise)
+
+
+def check_directions(lines: Sequence[xr.Dataset], method: str, isotropic: bool | None) -> list[_Direction]:
+    """The directions of line profiles; none of an isotropic surface. A FacetError refuses those that do not show the slopes in all azimuths."""
     if isotropic is True:
-        return _isotropic(lines, method, noise)
+        return []
     directions = _directions(lines)
     azimuths = ", ".join(f"{direction.azimuth:.4g}°" for direction in directions)
     if len(directions) == 1:
@@ -92,7 +98,7 @@ def estimate_from_lines(
         raise FacetError(
             f"method {method!r} is for lines on an isotropic surface; accepted for two directions: mixture"
         )
-    return _perpendicular(directions, noise)
+    return directions
 
 
 def _directions(lines: Sequence[xr.Dataset]) -> list[_Direction]:
