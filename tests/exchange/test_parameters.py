@@ -62,6 +62,19 @@ def test_a_formula_that_reflects_too_much_has_no_parameters(tmp_path: Path) -> N
     assert "parameters" in fits["ggx"]
 
 
+def test_each_incidence_is_listed_with_its_parameters_or_a_refusal(tmp_path: Path) -> None:
+    write(samples.beckmann_bsdf(0.2), tmp_path / "x.parameters.json", largest_error=0.1)
+    fits = {one["formula"]: one for one in json.loads((tmp_path / "x.parameters.json").read_text())["fits"]}
+    assert fits["abg"]["refused"] == "the error of the reflectance is above the limit of 0.1"
+    listed = fits["abg"]["by_incidence"]["incidences"]
+    assert [one["theta_i"] for one in listed] == [0, 15, 30, 45, 60, 75, 85]
+    for one in listed:
+        assert ("parameters" in one) == (max(one["error"]["median"], one["error"]["albedo"]) <= 0.1)
+    # At 85 degree the lobe is lopsided, which no function of the distance from the mirror direction is.
+    assert "parameters" not in listed[-1]
+    assert "by_incidence" not in fits["ggx"]
+
+
 def test_a_material_without_any_formula_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ExchangeError, match=r"no formula describes this material: the nearest, beckmann"):
         write(samples.beckmann_bsdf(0.2), tmp_path / "x.parameters.json", largest_error=1e-4)

@@ -67,6 +67,15 @@ def fresh_pairs(bsdf: xr.Dataset, seed: int, incidences: int = 12, views: int = 
     unit = qmc.Sobol(2, rng=generator).random(1 << (incidences - 1).bit_length())[:incidences]
     polar = LARGEST_INCIDENCE * unit[:, 0]
     azimuth = 360 * unit[:, 1] if not model.isotropic else np.zeros(incidences)
+    return _pairs_at(model, polar, azimuth, views, generator)
+
+
+def fresh_pairs_at(bsdf: xr.Dataset, theta_i: Array, seed: int, views: int = 512) -> Pairs:
+    """As :func:`fresh_pairs`, at given incidences (n,) in the plane of azimuth 0 [degree]."""
+    return _pairs_at(representation(bsdf), theta_i, np.zeros_like(theta_i), views, np.random.default_rng(seed))
+
+
+def _pairs_at(model: Representation, polar: Array, azimuth: Array, views: int, generator: np.random.Generator) -> Pairs:
     groups = [_views(model, *at, views, generator) for at in zip(polar, azimuth, strict=True)]
     theta_o, phi_o = (np.concatenate(angles) for angles in zip(*groups, strict=True))
     sizes = [theta.size for theta, _ in groups]

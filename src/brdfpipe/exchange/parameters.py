@@ -16,7 +16,13 @@ from brdfpipe.appearance.origin import METAL_EXTINCTION
 from brdfpipe.exchange import records
 from brdfpipe.exchange.fits.fitting import Fit, Form, fit, index_of
 from brdfpipe.exchange.fits.forms import by_albedo, dielectric
-from brdfpipe.exchange.fits.scatter import FORMULAS, ScatterFit, fit_formula
+from brdfpipe.exchange.fits.scatter import (
+    FORMULAS,
+    LISTED_INCIDENCES,
+    ScatterError,
+    error_by_incidence,
+    fit_formula,
+)
 from brdfpipe.exchange.registry import ExchangeError, Format
 
 FORMAT = Format(
@@ -42,16 +48,11 @@ def write(bsdf: xr.Dataset, path: Path, *, largest_error: float) -> records.Reco
     """
     if not largest_error > 0:
         raise ExchangeError(f"largest_error is {largest_error!r}; accepted: above 0")
-    fits = [_of_formula(bsdf, name) for name in FORMULAS]
+    fits = [_of_formula(bsdf, name, largest_error) for name in FORMULAS]
     n, k = index_of(bsdf)
     if k < METAL_EXTINCTION:
-        fits += [_of_facets(bsdf, distribution, n) for distribution in ("ggx", "beckmann")]
-    for one in fits:
-        named = {"median error": one["error"]["median"], "error of the reflectance": one["error"]["albedo"]}
-        if beyond := [words for words, error in named.items() if not error <= largest_error]:
-            del one["parameters"]
-            one["refused"] = f"the {beyond[0]} is above the limit of {largest_error:g}"
-    if all("refused" in one for one in fits):
+        fits += [_of_facets(bsdf, distribution, n, largest_error) for distribution in ("ggx", "beckmann")]
+    if all("refused" in one and "refused" in one.get("by_incidence", one) for one in fits):
         least = min(fits, key=lambda one: max(float(one["error"]["median"]), float(one["error"]["albedo"])))
         raise ExchangeError(
             f"no formula describes this material: the nearest, {least['formula']}, is off by {least['error']['median']:.0%} of BRDF cos theta_o "
@@ -61,7 +62,10 @@ def write(bsdf: xr.Dataset, path: Path, *, largest_error: float) -> records.Reco
         **records.identity(bsdf),
         "values": "BRDF in sr-1, not multiplied by the cosine, weighted with V(lambda) and D65",
         "x": "distance of the direction cosines from those of the mirror direction, |beta - beta0|",
-        "error": "relative: median and 95th percentile of BRDF cos theta_o, and albedo, the largest of the directional reflectance to 75 degree",
+        "error": "relative: median and 95th percentile of BRDF cos theta_o, and the largest of the directional reflectance (albedo) and of the BRDF "
+        "in the mirror direction (peak) to 75 degree",
+        "by_incidence": "parameters of single incidences, and their error there; the error of the whole list is that of the BRDF interpolated linearly "
+        "between them. Parameters cannot be interpolated",
         "fits": fits,
         "left_out": records.left_out(bsdf, FORMAT, channels=1),
     }
@@ -69,31 +73,55 @@ def write(bsdf: xr.Dataset, path: Path, *, largest_error: float) -> records.Reco
     return document
 
 
-def _of_formula(bsdf: xr.Dataset, name: str) -> dict[str, Any]:
-    found = fit_formula(bsdf, name)
-    parameters = {key: _digits(value) for key, value in found.parameters.items()}
-    return _entry(name, FORMULAS[name].words, parameters, found)
+def _of_formula(bsdf: xr.Dataset, name: str, limit: float) -> dict[str, Any]:
+    of_all = fit_formula(bsdf, name)
+    found = {float(theta_i): fit_formula(bsdf, name, float(theta_i)) for theta_i in LISTED_INCIDENCES}
+    incidences = [
+        {"theta_i": theta_i, **_within(limit, one.parameters, _error(one.error))} for theta_i, one in found.items()
+    ]
+    kept = {theta_i: one.parameters for theta_i, one in found.items() if not _refusal(limit, _error(one.error))}
+    listed: dict[str, Any] = {"refused": "every incidence is refused"}
+    if kept:
+        error = _error(error_by_incidence(bsdf, name, kept))
+        refusal = _refusal(limit, error)
+        listed = {"error": error, **({"refused": refusal} if refusal else {"incidences": incidences})}
+    return {
+        "formula": name,
+        "brdf": FORMULAS[name].words,
+        **_within(limit, of_all.parameters, _error(of_all.error)),
+        "by_incidence": listed,
+    }
 
 
-def _of_facets(bsdf: xr.Dataset, distribution: str, index: float | None) -> dict[str, Any]:
+def _of_facets(bsdf: xr.Dataset, distribution: str, index: float | None, limit: float) -> dict[str, Any]:
     found = fit(bsdf, Form(distribution, dielectric, by_albedo, index))
     words = (
         "D F G / (4 cos theta_i cos theta_o) with height-correlated masking and Fresnel's equations of n, and L / pi times 1 - the lobe's "
         "reflectance from the direction of view"
     )
     luminous = {"alpha": found.material.lobe.alpha, "n": found.index, "L": found.luminous_base}
-    parameters = {key: _digits(value) for key, value in luminous.items()}
-    return _entry(distribution, words, parameters, found)
+    return {"formula": distribution, "brdf": words, **_within(limit, luminous, _error(found))}
 
 
-def _entry(formula: str, words: str, parameters: dict[str, float], found: ScatterFit | Fit) -> dict[str, Any]:
-    error = {
-        "median": _digits(found.median),
-        "percentile_95": _digits(found.percentile_95),
-        "albedo": _digits(found.albedo),
-        "directions": found.directions,
+def _within(limit: float, parameters: dict[str, float], error: dict[str, float]) -> dict[str, Any]:
+    """The error, and the parameters unless it is above the limit."""
+    refusal = _refusal(limit, error)
+    return {
+        **({"refused": refusal} if refusal else {"parameters": {key: _digits(one) for key, one in parameters.items()}}),
+        "error": error,
     }
-    return {"formula": formula, "brdf": words, "parameters": parameters, "error": error}
+
+
+def _refusal(limit: float, error: dict[str, float]) -> str:
+    """Which error is above the limit; empty if none is."""
+    named = {"median error": error["median"], "error of the reflectance": error["albedo"]}
+    beyond = [words for words, size in named.items() if not size <= limit]
+    return f"the {beyond[0]} is above the limit of {limit:g}" if beyond else ""
+
+
+def _error(found: ScatterError | Fit) -> dict[str, float]:
+    sizes = {name: _digits(getattr(found, name)) for name in ("median", "percentile_95", "albedo", "peak")}
+    return {**sizes, "directions": found.directions}
 
 
 def _digits(value: float) -> float:

@@ -100,7 +100,11 @@ def sentences(record: Record, values: str = VALUES["reflection"]) -> list[str]:
 
 def statements(record: Mapping[str, Any]) -> list[str]:
     """The record in words, for a terminal."""
-    errors = [(f"{one['formula']}: ", one["error"], one.get("refused", "")) for one in record.get("fits", [])]
+    errors = []
+    for one in record.get("fits", []):
+        for start, fit in ((one["formula"], one), (f"{one['formula']} by incidence", one.get("by_incidence", {}))):
+            if "error" in fit:
+                errors.append((f"{start}: ", fit["error"], fit.get("refused", "")))
     named = {"": "error", "light that passes: ": "error_of_transmission"}
     errors += [(start, record[key], "") for start, key in named.items() if isinstance(record.get(key), Mapping)]
     return [
@@ -116,6 +120,8 @@ def _stated(error: Mapping[str, Any], refused: str) -> str:
         f"{median}{error['percentile_95']:.2%} at the 95th percentile, of BRDF·cos θ_o",
         f"{error['albedo']:.2%} of the directional reflectance",
     ]
+    if "peak" in error:
+        parts.append(f"{error['peak']:.2%} of the BRDF in the mirror direction")
     if "delta_e_00" in error:
         parts.append(f"a colour difference of {error['delta_e_00']:.1f} (ΔE00) off the lobe")
     end = (

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import astuple
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +10,14 @@ import pytest
 import samples
 
 from brdfpipe.bsdf.table_error import Pairs
-from brdfpipe.exchange.fits.scatter import FORMULAS, distance, fit_formula, reflectance_of
+from brdfpipe.exchange.fits.scatter import (
+    FORMULAS,
+    LISTED_INCIDENCES,
+    distance,
+    error_by_incidence,
+    fit_formula,
+    reflectance_of,
+)
 from brdfpipe.exchange.read_table import ReadTable, as_bsdf
 from brdfpipe.exchange.registry import ExchangeError
 
@@ -49,8 +57,43 @@ def test_its_own_parameters_are_found(name: str) -> None:
     peak = lobe[0] / lobe[1] if name == "abg" else lobe[0]
     expected = LOBES[name][0] / LOBES[name][1] if name == "abg" else LOBES[name][0]
     assert peak == pytest.approx(expected, rel=0.1)
-    assert found.median < 0.02
-    assert found.albedo < 0.05
+    assert found.error.median < 0.02
+    assert found.error.albedo < 0.05
+    assert found.error.peak < 0.1
+
+
+@pytest.mark.parametrize("name", FORMULAS)
+def test_one_incidence_has_its_own_parameters(name: str) -> None:
+    found = fit_formula(table_of(name), name, 40.0)
+    assert found.error.median < 0.02
+    # Peak and width are correlated, and the table is interpolated about its peak.
+    assert found.error.peak < 0.1
+    peak = FORMULAS[name].lobe(np.zeros(1), np.cos(np.radians(40)), np.cos(np.radians(40)), LOBES[name])
+    fitted = FORMULAS[name].lobe(
+        np.zeros(1), np.cos(np.radians(40)), np.cos(np.radians(40)), tuple(found.parameters.values())[:3]
+    )
+    assert fitted == pytest.approx(peak, rel=0.1)
+
+
+def test_a_lobe_whose_width_follows_the_incidence_needs_parameters_by_incidence() -> None:
+    """Facets of slope 0.2: one width in direction cosines misses the peak at normal incidence many times over."""
+    bsdf = samples.beckmann_bsdf(0.2)
+    of_all = fit_formula(bsdf, "abg")
+    listed = {float(at): fit_formula(bsdf, "abg", float(at)).parameters for at in LISTED_INCIDENCES}
+    between = error_by_incidence(bsdf, "abg", listed)
+    assert of_all.error.peak > 3
+    assert between.peak < 0.5
+    assert between.albedo < 0.25 * of_all.error.albedo
+    assert between.directions == of_all.error.directions
+
+
+def test_incidences_beyond_the_list_have_the_parameters_of_its_ends() -> None:
+    bsdf, parameters = table_of("harvey"), dict(zip(("b0", "l", "s", "L"), (*LOBES["harvey"], BASE), strict=True))
+    one, three = (
+        error_by_incidence(bsdf, "harvey", dict.fromkeys(at, parameters)) for at in ((30.0,), (10.0, 30.0, 50.0))
+    )
+    assert astuple(one) == pytest.approx(astuple(three))
+    assert one.median < 0.02
 
 
 def test_the_reflectance_of_a_lobe_is_its_integral() -> None:
@@ -67,7 +110,7 @@ def test_the_reflectance_of_a_lobe_is_its_integral() -> None:
 
 def test_the_wrong_formula_has_a_larger_error() -> None:
     bsdf = table_of("k_correlation")
-    assert fit_formula(bsdf, "abg").median > 3 * fit_formula(bsdf, "k_correlation").median
+    assert fit_formula(bsdf, "abg").error.median > 3 * fit_formula(bsdf, "k_correlation").error.median
 
 
 def test_a_lay_is_refused() -> None:

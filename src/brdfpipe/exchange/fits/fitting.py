@@ -12,7 +12,7 @@ from scipy.optimize import minimize
 from brdfpipe.appearance import colours
 from brdfpipe.bsdf.nonspectral import nonspectral
 from brdfpipe.bsdf.registry import representation
-from brdfpipe.bsdf.table_error import Pairs, errors_at, fresh_pairs
+from brdfpipe.bsdf.table_error import Pairs, errors_at, fresh_pairs, fresh_pairs_at
 from brdfpipe.exchange.fits.forms import Lobe, Material, base_share
 from brdfpipe.exchange.gridded import linear_rgb
 from brdfpipe.exchange.registry import ExchangeError
@@ -66,6 +66,8 @@ class Fit:
     percentile_95: float
     albedo: float
     """Largest difference of the directional reflectance, relative to it [1]"""
+    peak: float
+    """Largest error of the BRDF in the mirror direction, relative to it [1]"""
     delta_e: float
     """Largest CIEDE2000 at :data:`COLOUR_GEOMETRIES`, D65 and 2 degree"""
     directions: int
@@ -151,15 +153,15 @@ def checked(found: Fit, largest_error: float, largest_delta_e: float, form: str)
     return found
 
 
-def reflected_light(bsdf: xr.Dataset) -> tuple[Pairs, Array]:
-    """Pairs of directions above the surface for a fit, and the BRDF there, weighted with V(λ) and D65 [sr-1].
+def reflected_light(bsdf: xr.Dataset, theta_i: float | None = None) -> tuple[Pairs, Array]:
+    """Pairs of directions above the surface for a fit, of one incidence or of all, and the BRDF there, weighted with V(λ) and D65 [sr-1].
 
     Raises ExchangeError: the surface has a lay, or no direction has light.
     """
     if not representation(bsdf).isotropic:
         raise ExchangeError("a surface with a lay has no such parameters: use the format of a table")
     reduced = nonspectral(bsdf)
-    pairs = fresh_pairs(reduced, _FITTED)
+    pairs = fresh_pairs(reduced, _FITTED) if theta_i is None else fresh_pairs_at(reduced, np.array([theta_i]), _FITTED)
     pairs = pairs.chosen(pairs.theta_o < 90)
     values = representation(reduced).evaluate(*pairs, None)[:, 0]
     if not values.any():
@@ -214,12 +216,15 @@ def _with_error(bsdf: xr.Dataset, material: Material, index: float) -> Fit:
 
     errors = errors_at(reduced, evaluate, pairs)
     off = np.abs((material.albedo(INCIDENCES) - reflectance) @ luminous)
+    plane = np.zeros_like(INCIDENCES)
+    mirror = Pairs(INCIDENCES, plane, INCIDENCES, plane + 180.0)
     return Fit(
         material,
         index,
         float(np.median(errors)),
         float(np.quantile(errors, 0.95)),
         float((off / np.maximum(reflectance @ luminous, LEAST_REFLECTANCE)).max()),
+        float(errors_at(reduced, evaluate, mirror).max()),
         _delta_e(bsdf, material),
         errors.size,
     )

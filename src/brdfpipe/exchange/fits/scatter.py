@@ -14,7 +14,7 @@ from scipy.optimize import least_squares
 
 from brdfpipe.bsdf.nonspectral import nonspectral
 from brdfpipe.bsdf.registry import representation
-from brdfpipe.bsdf.table_error import Pairs, errors_at, fresh_pairs
+from brdfpipe.bsdf.table_error import Pairs, errors_at, fresh_pairs, fresh_pairs_at
 from brdfpipe.exchange.fits.fitting import INCIDENCES, LEAST_REFLECTANCE, reflected_light
 from brdfpipe.geometry import Array
 
@@ -68,17 +68,31 @@ FORMULAS: Mapping[str, Formula] = {
 """ABg (Pfisterer), Harvey and Shack with a shoulder, and the K-correlation (ABC) model of a smooth surface's spectrum; L is a reflectance."""
 
 
+LISTED_INCIDENCES = np.array([0.0, 15.0, 30.0, 45.0, 60.0, 75.0, 85.0])
+"""Of parameters by incidence [degree]."""
+
+
+@dataclass(frozen=True)
+class ScatterError:
+    """How far a formula is from the BSDF [1]."""
+
+    median: float
+    """See :class:`brdfpipe.exchange.fits.fitting.Fit`"""
+    percentile_95: float
+    albedo: float
+    """Largest error of the directional reflectance at the incidences, relative to it"""
+    peak: float
+    """Largest error of the BRDF in the mirror direction of the incidences, relative to it"""
+    directions: int
+
+
 @dataclass(frozen=True)
 class ScatterFit:
     """Parameters of a formula, and its error."""
 
     parameters: dict[str, float]
-    median: float
-    """See :class:`brdfpipe.exchange.fits.fitting.Fit`"""
-    percentile_95: float
-    albedo: float
-    """Largest error of the directional reflectance at :data:`brdfpipe.exchange.fits.fitting.INCIDENCES`, relative to it [1]"""
-    directions: int
+    """Those of the lobe, and L, the reflectance of the base"""
+    error: ScatterError
 
 
 def distance(pairs: Pairs) -> Array:
@@ -89,12 +103,14 @@ def distance(pairs: Pairs) -> Array:
     return np.asarray(np.hypot(sines[1] * np.cos(turn) + sines[0], sines[1] * np.sin(turn)))
 
 
-def fit_formula(bsdf: xr.Dataset, name: str) -> ScatterFit:
+def fit_formula(bsdf: xr.Dataset, name: str, theta_i: float | None = None) -> ScatterFit:
     """Fit a formula of :data:`FORMULAS` to the reflected light, weighted with V(λ) and D65.
 
     Parameters
     ----------
     bsdf : kind ``bsdf``, without a lay
+    theta_i : the incidence of the fit and of its error [degree]; by default all, and reflectance and peak at
+        :data:`brdfpipe.exchange.fits.fitting.INCIDENCES`
 
     Raises
     ------
@@ -105,7 +121,59 @@ def fit_formula(bsdf: xr.Dataset, name: str) -> ScatterFit:
     Least squares of the cube roots of BRDF·cos θ_o, as :func:`brdfpipe.exchange.fits.fitting.fit`; from several starting widths.
     """
     formula = FORMULAS[name]
-    pairs, values = reflected_light(bsdf)
+    *lobe, base = _least_squares(formula, *reflected_light(bsdf, theta_i))
+    parameters = dict(zip((*formula.names, "L"), (*lobe, base), strict=True))
+    return ScatterFit(parameters, error_by_incidence(bsdf, name, {theta_i or 0.0: parameters}, theta_i))
+
+
+def error_by_incidence(
+    bsdf: xr.Dataset, name: str, parameters: Mapping[float, Mapping[str, float]], theta_i: float | None = None
+) -> ScatterError:
+    """Error of a formula whose BRDF is interpolated linearly between the incidences that have parameters.
+
+    Parameters
+    ----------
+    bsdf : kind ``bsdf``, without a lay
+    parameters : increasing incidence [degree] → parameters, which hold beyond the outermost
+    theta_i : the incidence of the error; see :func:`fit_formula`
+    """
+    formula, reduced = FORMULAS[name], nonspectral(bsdf)
+    known = np.array(list(parameters))
+    listed = [(_lobe_of(formula, one), one["L"]) for one in parameters.values()]
+
+    def shares(theta_i: Array) -> Array:
+        """(parameters, incidences) weights of the interpolation."""
+        return np.stack([np.interp(theta_i, known, row) for row in np.eye(known.size)])
+
+    def evaluate(theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array, _: Array | None) -> Array:
+        x = distance(Pairs(theta_i, phi_i, theta_o, phi_o))
+        cosines = np.cos(np.radians(theta_i)), np.cos(np.radians(theta_o))
+        values = [formula.lobe(x, *cosines, lobe) + base / np.pi for lobe, base in listed]
+        return np.asarray((shares(theta_i) * values).sum(axis=0))[:, None]
+
+    incidences = INCIDENCES if theta_i is None else np.array([theta_i])
+    fresh = fresh_pairs(reduced, _COMPARED) if theta_i is None else fresh_pairs_at(reduced, incidences, _COMPARED)
+    errors = errors_at(reduced, evaluate, fresh.chosen(fresh.theta_o < 90))
+    model, plane = representation(reduced), np.zeros_like(incidences)
+    scattered = (model.albedo(incidences, plane, None) - model.specular(incidences, plane, None)[0])[:, 0]
+    reflectances = [reflectance_of(formula, lobe, incidences) + base for lobe, base in listed]
+    off = np.abs((shares(incidences) * reflectances).sum(axis=0) - scattered)
+    return ScatterError(
+        float(np.median(errors)),
+        float(np.quantile(errors, 0.95)),
+        float((off / np.maximum(scattered, LEAST_REFLECTANCE)).max()),
+        float(errors_at(reduced, evaluate, Pairs(incidences, plane, incidences, plane + 180.0)).max()),
+        errors.size,
+    )
+
+
+def _lobe_of(formula: Formula, parameters: Mapping[str, float]) -> tuple[float, float, float]:
+    scale, width, exponent = (parameters[one] for one in formula.names)
+    return scale, width, exponent
+
+
+def _least_squares(formula: Formula, pairs: Pairs, values: Array) -> tuple[float, float, float, float]:
+    """The parameters of the lobe, and the reflectance of the base."""
     x, cos_i, cos_o = distance(pairs), np.cos(np.radians(pairs.theta_i)), np.cos(np.radians(pairs.theta_o))
     wanted = np.cbrt(values * cos_o)
 
@@ -122,26 +190,8 @@ def fit_formula(bsdf: xr.Dataset, name: str) -> ScatterFit:
         (least_squares(residual, np.clip(start, low + 1e-6, high - 1e-6), bounds=(low, high)) for start in starts),
         key=lambda result: float(result.cost),
     )
-    *lobe, base = (float(value) for value in np.exp(found.x))
-
-    def evaluate(theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array, _: Array | None) -> Array:
-        at = Pairs(theta_i, phi_i, theta_o, phi_o)
-        cosines = np.cos(np.radians(theta_i)), np.cos(np.radians(theta_o))
-        return np.asarray(formula.lobe(distance(at), *cosines, (lobe[0], lobe[1], lobe[2])) + base / np.pi)[:, None]
-
-    reduced = nonspectral(bsdf)
-    fresh = fresh_pairs(reduced, _COMPARED)
-    errors = errors_at(reduced, evaluate, fresh.chosen(fresh.theta_o < 90))
-    model, normal = representation(reduced), np.zeros_like(INCIDENCES)
-    scattered = (model.albedo(INCIDENCES, normal, None) - model.specular(INCIDENCES, normal, None)[0])[:, 0]
-    off = np.abs(reflectance_of(formula, (lobe[0], lobe[1], lobe[2]), INCIDENCES) + base - scattered)
-    return ScatterFit(
-        dict(zip((*formula.names, "L"), (*lobe, base), strict=True)),
-        float(np.median(errors)),
-        float(np.quantile(errors, 0.95)),
-        float((off / np.maximum(scattered, LEAST_REFLECTANCE)).max()),
-        errors.size,
-    )
+    scale, width, exponent, base = (float(value) for value in np.exp(found.x))
+    return scale, width, exponent, base
 
 
 def reflectance_of(formula: Formula, parameters: tuple[float, float, float], theta_i: Array) -> Array:
