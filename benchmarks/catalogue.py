@@ -30,6 +30,31 @@ PROJECT = Path(__file__).resolve().parents[1]
 RATIO_LIMIT = 1.5
 SECOND_RUN_LIMIT = 3.0
 
+EMPTY_STAGE = '''
+"""A stage that writes its parameters and the digests of its inputs."""
+import hashlib, json
+from pathlib import Path
+
+def main(input, output, params):
+    given = [file for value in input.values() for file in ([value] if isinstance(value, str) else value)]
+    digests = [hashlib.sha256(Path(file).read_bytes()).hexdigest() for file in given]
+    content = json.dumps([Path(__file__).stem, params["material"], params["spec"], digests])
+    for value in output.values():
+        for file in [value] if isinstance(value, str) else value:
+            Path(file).write_text(content)
+'''
+
+IN_PROJECT = """\
+import sys
+from pathlib import Path
+from brdfpipe import installation
+project = Path(sys.argv.pop(1))
+installation.project_folder = lambda: project
+from brdfpipe.cli.main import main
+main(prog_name="brdfpipe")
+"""
+"""Runs the command line with the workflow of another folder."""
+
 Record = dict[str, Any]
 
 
@@ -42,17 +67,28 @@ Record = dict[str, Any]
     help="The scene that is built.  [default: catalogue; multiangle-qc, the cheapest, for --growth]",
 )
 @click.option("--growth", is_flag=True, help="Build catalogues of growing numbers of varied small materials.")
+@click.option(
+    "--empty-stages", is_flag=True, help="For --growth: stages that compute nothing, so that the machinery is measured."
+)
 @click.option("--numbers", default="100,1000,10000", show_default=True, help="Of materials, for --growth.")
 @click.option(
     "--folder", type=click.Path(path_type=Path), default=None, help="Where to work; default a temporary folder."
 )
 @click.option("--out", type=click.Path(path_type=Path), default=PROJECT / "benchmarks" / "results" / "catalogue.json")
 def main(
-    materials: int, cores: int, scene: str | None, growth: bool, numbers: str, folder: Path | None, out: Path
+    materials: int,
+    cores: int,
+    scene: str | None,
+    growth: bool,
+    empty_stages: bool,
+    numbers: str,
+    folder: Path | None,
+    out: Path,
 ) -> None:
     """Build many materials and measure the time of each stage."""
     if growth:
-        measure_growth([int(number) for number in numbers.split(",")], cores, scene or "multiangle-qc", folder, out)
+        counts = [int(number) for number in numbers.split(",")]
+        measure_growth(counts, cores, scene or "multiangle-qc", folder, out, empty_stages)
         return
     scene = scene or "catalogue"
     with tempfile.TemporaryDirectory() as temporary:
@@ -72,7 +108,9 @@ def main(
         sys.exit("a requirement is not met")
 
 
-def measure_growth(numbers: list[int], cores: int, scene: str, folder: Path | None, out: Path) -> None:
+def measure_growth(
+    numbers: list[int], cores: int, scene: str, folder: Path | None, out: Path, empty_stages: bool = False
+) -> None:
     """Build, build unchanged, and build with one changed material, for each number of materials; print the table and the exponents."""
     rows: list[Record] = []
     for number in numbers:
@@ -82,12 +120,13 @@ def measure_growth(numbers: list[int], cores: int, scene: str, folder: Path | No
             for path in (catalogue, results):
                 shutil.rmtree(path, ignore_errors=True)
             first_material, *_ = write_varied(catalogue, number)
-            first = timed_build(catalogue, results, cores, scene)
+            project = write_project(work / "project") if empty_stages else None
+            first = timed_build(catalogue, results, cores, scene, project)
             stages = sum(record["cpu_s"] for record in stage_records(results))
-            unchanged = timed_build(catalogue, results, cores, scene)
+            unchanged = timed_build(catalogue, results, cores, scene, project)
             with (first_material / "material.yaml").open("a") as description:
                 description.write("description: changed\n")
-            edited = timed_build(catalogue, results, cores, scene)
+            edited = timed_build(catalogue, results, cores, scene, project)
             rows.append(
                 {
                     "materials": number,
@@ -105,7 +144,7 @@ def measure_growth(numbers: list[int], cores: int, scene: str, folder: Path | No
             print(growth_as_text(rows[-1:], header=len(rows) == 1), flush=True)
     exponents = fitted_exponents(rows)
     print("exponents of N: " + ", ".join(f"{name} {value:.2f}" for name, value in exponents.items()))
-    target = out.with_name("catalogue-growth.json")
+    target = out.with_name(f"catalogue-growth{'-empty-stages' if empty_stages else ''}.json")
     target.parent.mkdir(parents=True, exist_ok=True)
     target.write_text(
         json.dumps({"cores": cores, "scene": scene, "rows": rows, "exponents": exponents}, indent=1) + "\n",
@@ -149,9 +188,24 @@ def write_catalogue(folder: Path, count: int) -> None:
         shutil.rmtree(surplus)
 
 
-def timed_build(catalogue: Path, results: Path, cores: int, scene: str) -> Record:
-    """Build on the command line, in a separate process; ``front``: of this process alone, without the workers that run the stages."""
-    command = [sys.executable, "-m", "brdfpipe.cli", "build", catalogue, "--results", results]
+def write_project(folder: Path) -> Path:
+    """The project's own rules and configuration, with stages that compute nothing."""
+    shutil.rmtree(folder, ignore_errors=True)
+    for part in ("config", "workflow"):
+        shutil.copytree(PROJECT / part, folder / part, ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copy(PROJECT / "Snakefile", folder)
+    for script in (folder / "workflow" / "scripts").glob("*.py"):
+        script.write_text(EMPTY_STAGE, encoding="utf-8")
+    return folder
+
+
+def timed_build(catalogue: Path, results: Path, cores: int, scene: str, project: Path | None = None) -> Record:
+    """Build on the command line, in a separate process; ``front``: of this process alone, without the workers that run the stages.
+
+    The workflow is that of ``project``, if given.
+    """
+    program = ["-c", IN_PROJECT, project] if project else ["-m", "brdfpipe.cli"]
+    command = [sys.executable, *map(str, program), "build", catalogue, "--results", results]
     command += ["--cores", str(cores), "--scene", scene]
     started, begin = time.time(), time.perf_counter()
     with tempfile.TemporaryFile("w+") as output:
