@@ -7,7 +7,7 @@ import pytest
 import xarray as xr
 
 from brdfpipe import flakes, optics, store, vocabulary
-from brdfpipe.bsdf import flake
+from brdfpipe.bsdf import flake, sphere_cubature
 from brdfpipe.bsdf.nonspectral import nonspectral
 from brdfpipe.bsdf.registry import representation
 from brdfpipe.errors import InputError
@@ -74,6 +74,20 @@ def test_between_the_measured_geometries_the_spectrum_has_the_fitted_colour(mode
     fitted = colorimetry.xyz_to_lab(representation(bsdf).tristimulus(*at, "D65", 10), white)
     # Chromaticity is interpolated by a spline on 160 nodes; Y is exact.
     assert colorimetry.delta_e_00(fitted, lab_of(bsdf, at)).max() < 1e-4
+
+
+@pytest.mark.parametrize("slope", [None, 1e-3, 0.02, 0.04])
+@pytest.mark.parametrize("decay", [0.05, 3.0, 40.0])
+def test_cells_about_the_mirror_direction_are_as_narrow_as_the_narrowest_lobe(slope, decay, monkeypatch):
+    """Cells graded to 0.001° give the same albedo; a lobe that the cells miss would be absent from both value and error."""
+    coat = {} if slope is None else {"model": "flake-physical", "clear_coat": slope}
+    bsdf = flake.build(spectra(), index=1.5, **coat)
+    bsdf = bsdf.assign(flake_decay=xr.full_like(bsdf["flake_decay"], decay))
+    model = representation(bsdf)
+    at = np.array([0.0, 8.0, 60.0, 85.0]), np.zeros(4), np.array([450.0])
+    coarse = model.integrate(*at)
+    monkeypatch.setattr(type(model), "halvings", sphere_cubature.HALVINGS)
+    assert model.integrate(*at).value == pytest.approx(coarse.value, rel=2 * model.accuracy)
 
 
 def test_the_patents_form_is_the_reflectance_factor_over_pi():

@@ -192,6 +192,11 @@ class Representation(ABC):
         return None
 
     @property
+    def halvings(self) -> int:
+        """How often the cells of a quadrature halve towards the mirror direction, so that the narrowest lobe is not missed."""
+        return sphere_cubature.HALVINGS
+
+    @property
     def non_smooth_angles(self) -> tuple[Array, Array]:
         """θ_o, and φ_o − φ_i, at which the slope of the BSDF jumps [degree]; none by default."""
         return np.empty(0), np.empty(0)
@@ -274,7 +279,7 @@ class Representation(ABC):
         Notes
         -----
         Adaptive Genz–Malik cubature over :meth:`evaluate`. Cells are graded down to 0.001 degree towards the mirror direction, or the
-        refracted and the straight direction: lobes about these are resolved at any width. Other lobes are resolved if they are wider
+        refracted and the straight direction, or to :attr:`halvings`: lobes about these are resolved at any width. Other lobes are resolved if they are wider
         than about 2 degree, or if :attr:`non_smooth_angles` gives their position.
         """
         incidences = np.atleast_1d(theta_i).ravel().astype(float), np.atleast_1d(phi_i).ravel().astype(float)
@@ -338,8 +343,8 @@ class Representation(ABC):
         if transmitted_side:
             peaks = np.array([180 - theta_i, float(self.refracted(np.array(theta_i)))])
         below = (theta_i > 90) != transmitted_side
-        theta = sphere_cubature.theta_edges(peaks[np.isfinite(peaks)], below)
-        phi = sphere_cubature.phi_edges(phi_i + 180)
+        theta = sphere_cubature.theta_edges(peaks[np.isfinite(peaks)], below, self.halvings)
+        phi = sphere_cubature.phi_edges(phi_i + 180, self.halvings)
         polar, azimuths = self.non_smooth_angles
         if polar.size or azimuths.size:
             azimuths = (azimuths + phi_i - phi[0]) % 360 + phi[0]

@@ -21,7 +21,9 @@ Indices: TypeAlias = NDArray[np.intp]
 Integrand: TypeAlias = Callable[[Indices, Array, Array], Array]
 """Values (points, wavelength) from the index of the incidence, θ_o and φ_o [degree] of each point, (points,) each."""
 
-_HALVINGS = 17
+HALVINGS = 17
+"""Of cells towards the mirror direction: down to 0.001 degree."""
+
 _STEP_THETA, _STEP_PHI = 7.5, 15.0
 _MOST_VALUES = 2_000_000
 """Values that are evaluated at a time, to limit memory."""
@@ -81,9 +83,9 @@ class Mesh:
         return cell
 
 
-def graded(peaks: Array, low: float, high: float, step: float) -> Array:
+def graded(peaks: Array, low: float, high: float, step: float, halvings: int = HALVINGS) -> Array:
     """Edges on ``[low, high]`` [degree], at most ``step`` apart and with distances that halve towards each peak."""
-    offsets = (high - low) * 0.5 ** np.arange(_HALVINGS + 1)
+    offsets = (high - low) * 0.5 ** np.arange(halvings + 1)
     dense = (peaks[:, None] + np.concatenate([-offsets, [0.0], offsets])).ravel()
     regular = np.linspace(low, high, 1 + round((high - low) / step))
     edges = np.concatenate([regular, dense[(dense > low) & (dense < high)]])
@@ -94,15 +96,15 @@ def graded(peaks: Array, low: float, high: float, step: float) -> Array:
     return edges[keep]
 
 
-def theta_edges(peaks: Array, below: bool) -> Array:
+def theta_edges(peaks: Array, below: bool, halvings: int = HALVINGS) -> Array:
     """Polar edges of one hemisphere, graded towards peaks."""
     low = 90.0 if below else 0.0
-    return graded(peaks, low, low + 90, _STEP_THETA)
+    return graded(peaks, low, low + 90, _STEP_THETA, halvings)
 
 
-def phi_edges(centre: float) -> Array:
+def phi_edges(centre: float, halvings: int = HALVINGS) -> Array:
     """Azimuths of a full turn, graded towards its centre."""
-    return graded(np.array([centre]), centre - 180, centre + 180, _STEP_PHI)
+    return graded(np.array([centre]), centre - 180, centre + 180, _STEP_PHI, halvings)
 
 
 def rectangles(theta: Array, phi: Array) -> tuple[Array, Array]:

@@ -19,6 +19,9 @@ from brdfpipe.geometry import Array, frame_rotation, half_vector
 from brdfpipe.masking.analytic_smith import beckmann_lambda
 from brdfpipe.optics.fresnel_equations import fresnel as fresnel_reflectance
 
+_FEWEST_HALVINGS = 5
+"""To the step of the azimuth of a quadrature."""
+
 PHYSICAL = "flake-physical"
 """Model whose flakes lie below the interface of the clear coat."""
 
@@ -167,6 +170,12 @@ class Flake(Representation):
         decay = self.dataset["flake_decay"].values[self.dataset["flake_amplitude"].values > 0]
         narrowest = float(decay.min()) if decay.size else 45.0
         return self._coat.index * float(np.tan(np.radians(min(narrowest, 45.0))))
+
+    @property
+    def halvings(self) -> int:
+        """Cells of a quarter of the width of the narrowest lobe: the form of the model has no narrower one."""
+        width = np.degrees(np.arctan(self.lobe_slope))
+        return int(np.clip(np.ceil(np.log2(90 / (width / 4))), _FEWEST_HALVINGS, super().halvings))
 
     @property
     def gloss_caveat(self) -> str:
