@@ -40,6 +40,15 @@ def test_ten_per_cent_more_diffuse_light_is_found_everywhere() -> None:
     assert np.isnan(found.colour)
 
 
+def test_a_file_without_colours_is_named_beside_the_colour_difference() -> None:
+    grey, coloured = diffuse(0.3), lambertian(samples.spectrum(np.linspace(0.1, 0.5, 85)))
+    found = difference(coloured, grey)
+    assert found.grey == (False, True)
+    assert found.colour > 5
+    assert as_text(found).endswith("; the second file has no colours and counts as a grey")
+    assert "counts as a grey" not in as_text(difference(coloured, coloured))
+
+
 def test_exchanging_the_files_turns_the_signs() -> None:
     first, second = samples.beckmann_bsdf(0.2), samples.beckmann_bsdf(0.1)
     there, back = difference(first, second), difference(second, first)

@@ -39,6 +39,8 @@ class Difference(NamedTuple):
     """(2, gloss angles) of both [GU]"""
     colour: float
     """ΔE00 of the 45:0 colours, D65 and 10 degree; NaN if both do not depend on wavelength"""
+    grey: tuple[bool, bool]
+    """Whether each does not depend on wavelength, so that its colour is that of a grey"""
     directions: int
 
 
@@ -66,6 +68,7 @@ def difference(first: xr.Dataset, second: xr.Dataset, seed: int = 1) -> Differen
         np.array([_albedo(one) for one in reduced]),
         np.array([gloss(one, GLOSS_ANGLES).values for one in (first, second)]),
         _colour(first, second),
+        ("wavelength" not in first.coords, "wavelength" not in second.coords),
         signed.size,
     )
 
@@ -118,5 +121,8 @@ def as_text(found: Difference) -> str:
             )
         )
     if not np.isnan(found.colour):
-        lines += ["", f"ΔE00 of the colours at 45:0: {found.colour:.2f}"]
+        text = f"ΔE00 of the colours at 45:0: {found.colour:.2f}"
+        for name, grey in zip(("first", "second"), found.grey, strict=True):
+            text += f"; the {name} file has no colours and counts as a grey" if grey else ""
+        lines += ["", text]
     return "\n".join(lines)

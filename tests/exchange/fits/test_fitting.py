@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 import samples
+import xarray as xr
 
 from brdfpipe import facets, optics
 from brdfpipe.bsdf import microfacet
 from brdfpipe.bsdf.lambert_gauss import lambertian
 from brdfpipe.exchange.fits.fitting import Form, checked, fit, index_of, is_smooth
-from brdfpipe.exchange.fits.forms import by_albedo, dielectric
+from brdfpipe.exchange.fits.forms import by_albedo, by_fresnel, dielectric
 from brdfpipe.exchange.registry import ExchangeError
 
 
@@ -81,3 +84,28 @@ def test_a_fit_beyond_a_limit_is_refused_with_its_error_and_the_key() -> None:
         checked(found, 0.25, 1e-6, "OpenPBR")
     with pytest.raises(ExchangeError, match="largest_error is 0"):
         checked(found, 0, 5.0, "OpenPBR")
+
+
+def test_the_index_of_a_mean_over_wavelengths_has_its_weights() -> None:
+    """A nonspectral BSDF of waves keeps n at each mixed wavelength, with the weight of each."""
+    mixed = xr.Dataset(
+        {"n": ("mixed", [1.4, 1.6, 2.0]), "k": ("mixed", [0.0, 0.0, 1.0]), "mixture": ("mixed", [0.5, 0.4, 0.1])}
+    )
+    assert index_of(mixed) == pytest.approx((0.5 * 1.4 + 0.4 * 1.6 + 0.1 * 2.0, 0.1))
+
+
+@pytest.mark.parametrize("under_lobe", [by_fresnel, by_albedo])
+def test_a_free_index_of_a_black_surface_reflects_what_the_surface_does(under_lobe: Any) -> None:
+    """A black body below facets of n = 1.55: the lobe alone reflects, and GGX has a higher peak than Beckmann for the same light."""
+    black = samples.beckmann_bsdf(0.02, reflectance=0.045)
+    found = fit(black, Form("ggx", dielectric, under_lobe, None))
+    assert found.index == pytest.approx(1.55, abs=0.05)
+    assert found.albedo < 0.1
+    assert found.luminous_base < 0.002
+
+
+def test_the_base_of_a_dark_matt_surface_is_not_what_the_lobe_misses_at_grazing_incidence() -> None:
+    """The surface reflects 0.045 at 8 degree, of which the face reflects nearly all: little is left for the base."""
+    dark = samples.beckmann_bsdf(0.1, reflectance=0.045)
+    found = fit(dark, Form("ggx", dielectric, by_albedo, 1.55))
+    assert found.luminous_base < 0.003

@@ -93,8 +93,9 @@ def fit(bsdf: xr.Dataset, form: Form) -> Fit:
     Notes
     -----
     The width minimises the squared difference of the cube roots of BRDF·cos θ_o, V(λ) and D65, at directions of which half are drawn where the
-    light goes: of the simple metrics it follows perceived differences best (Fores, Ferwerda & Gu 2012). The base follows from the
-    directional reflectances at :data:`INCIDENCES`, by least squares, within 0 and 1.
+    light goes: of the simple metrics it follows perceived differences best (Fores, Ferwerda & Gu 2012). To its share of the mean square is added that of the
+    directional reflectances, without which a free index follows the peak of the lobe and reflects too much. The base follows from the
+    directional reflectances at :data:`INCIDENCES`, by relative least squares, within 0 and 1.
     """
     luminous = luminance_of_rgb()
     if is_smooth(bsdf) and representation(bsdf).isotropic:
@@ -103,13 +104,16 @@ def fit(bsdf: xr.Dataset, form: Form) -> Fit:
     cosine = np.cos(np.radians(pairs.theta_o))
     wanted = np.cbrt(values * cosine)
     reflectance = _reflectance(bsdf)
+    total = np.maximum(reflectance @ luminous, LEAST_REFLECTANCE)
 
     def material(log_width: float, index: float) -> Material:
         return _with_base(form.lobe(float(np.exp(log_width)), index), form, reflectance)
 
     def misfit(at: Array) -> float:
-        found = material(*at).evaluate(*pairs) @ luminous
-        return float(np.square(np.cbrt(found * cosine) - wanted).mean())
+        tried = material(*at)
+        found = np.cbrt(tried.evaluate(*pairs) @ luminous * cosine)
+        reflected = np.cbrt(tried.albedo(INCIDENCES) @ luminous / total)
+        return float(np.square(found - wanted).mean() / np.square(wanted).mean() + np.square(reflected - 1).mean())
 
     # Several starts: a lobe that is much too narrow is seen by no direction.
     logs = np.log(WIDTHS)
@@ -182,10 +186,14 @@ def is_smooth(bsdf: xr.Dataset) -> bool:
 def index_of(bsdf: xr.Dataset) -> tuple[float | None, float]:
     """n and k, weighted with V(λ) and D65; None where the BSDF states no index, and 0 where it states no k."""
     named = next((name for name in ("n", "clear_coat_index") if name in bsdf), None)
-    return None if named is None else _luminous_mean(bsdf[named]), _luminous_mean(bsdf["k"]) if "k" in bsdf else 0.0
+    return None if named is None else _luminous_mean(bsdf, named), _luminous_mean(bsdf, "k") if "k" in bsdf else 0.0
 
 
-def _luminous_mean(values: xr.DataArray) -> float:
+def _luminous_mean(bsdf: xr.Dataset, name: str) -> float:
+    values = bsdf[name]
+    if "mixed" in values.dims:
+        # A mean over wavelengths has its own weights.
+        return float(values @ bsdf["mixture"])
     if "wavelength" not in values.dims:
         return float(values.mean())
     return float(values @ xr.DataArray(colorimetry.luminous_weight(values["wavelength"].values), dims="wavelength"))
@@ -194,8 +202,10 @@ def _luminous_mean(values: xr.DataArray) -> float:
 def _with_base(lobe: Lobe, form: Form, reflectance: Array) -> Material:
     """The base that has the rest of the reflectance (incidences, 3)."""
     share, rest = base_share(lobe, form.under_lobe, INCIDENCES), reflectance - lobe.albedo(INCIDENCES)
-    weight = float(np.square(share).sum())
-    base = (share * rest).sum(axis=0) / weight if weight > 0 else np.zeros(3)
+    # Relative to the reflectance: else the base is what a lobe misses at grazing incidence.
+    scale = np.maximum(reflectance, LEAST_REFLECTANCE)
+    weight = np.square(share / scale).sum(axis=0)
+    base = np.divide((share * rest / scale**2).sum(axis=0), weight, out=np.zeros(3), where=weight > 0)
     return Material(lobe, np.clip(base, 0.0, 1.0), form.under_lobe)
 
 

@@ -103,6 +103,8 @@ def _reflectance_of_metal(bsdf: xr.Dataset) -> Array:
     source = bsdf if "wavelength" in bsdf["n"].dims or "wavelength" in bsdf["k"].dims else nonspectral(bsdf)
     n, k = np.broadcast_arrays(source["n"].values, source["k"].values)
     values = np.atleast_1d(fresnel(1.0, n, k).mean)
+    if "mixed" in source["n"].dims:
+        values = np.atleast_1d(values @ source["mixture"].values)
     if "wavelength" in bsdf.coords and values.size == 1:
         values = np.repeat(values, bsdf.sizes["wavelength"])
     return np.clip(np.asarray(linear_rgb(bsdf).convert(values[None]))[0], 0.0, 1.0)
