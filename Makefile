@@ -29,7 +29,7 @@ check: $(VENV)/.runtime  ## check descriptions, keys, files and formats of CATAL
 
 instruments: $(VENV)/.instruments  ## add the readers of instruments' own file formats, and spreadsheets (140 MB)
 
-peers: $(VENV)/.peers  ## add the independent implementations that test-full compares with (250 MB, compiles for minutes)
+peers: $(VENV)/.peers  ## add the independent implementations that test-full compares with (300 MB, compiles for minutes)
 
 cluster: $(VENV)/.cluster  ## add what submits jobs to the scheduler of a cluster (docs/cluster.md)
 

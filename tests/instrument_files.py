@@ -6,7 +6,9 @@ in the order of the format: mostly as a picture, from the upper edge down.
 
 from __future__ import annotations
 
+import io
 import struct
+import zipfile
 from collections.abc import Callable
 
 import numpy as np
@@ -32,6 +34,116 @@ def al3d(height: np.ndarray) -> bytes:
     # Rows are padded to whole groups of 8 bytes.
     padded = np.pad(np.nan_to_num(height[::-1] * 1e-6, nan=1e10), ((0, 0), (0, columns % 2)))
     return (head + bytes(256)).ljust(offset, b"\0") + padded.astype("<f4").tobytes()
+
+
+def gwy(height: np.ndarray) -> bytes:
+    """Typed, named components of nested objects; lengths in m, rows from the upper edge down."""
+
+    def component(name: str, kind: str, value: bytes) -> bytes:
+        return name.encode() + b"\0" + kind.encode() + value
+
+    def nested(name: str, content: bytes) -> bytes:
+        return name.encode() + b"\0" + struct.pack("<I", len(content)) + content
+
+    rows, columns = height.shape
+    metre = component("unitstr", "s", b"m\0")
+    data = (np.nan_to_num(height[::-1]) * 1e-6).astype("<f8")
+    gaps = np.isnan(height[::-1]).astype("<f8")
+    field = component("xres", "i", struct.pack("<i", columns)) + component("yres", "i", struct.pack("<i", rows))
+    for axis, extent in (("x", PITCH[0] * columns), ("y", PITCH[1] * rows)):
+        field += component(f"{axis}real", "d", struct.pack("<d", extent * 1e-6))
+    units = b"".join(component(f"si_unit_{axes}", "o", nested("GwySIUnit", metre)) for axes in ("xy", "z"))
+    fields = [
+        component(
+            f"/0/{name}",
+            "o",
+            nested(
+                "GwyDataField",
+                field + units + component("data", "D", struct.pack("<I", values.size) + values.tobytes()),
+            ),
+        )
+        for name, values in (("data", data), ("mask", gaps))
+    ]
+    return b"GWYP" + nested("GwyContainer", b"".join(fields) + component("/0/data/title", "s", b"Topography\0"))
+
+
+def os3d(height: np.ndarray) -> bytes:
+    rows, columns = height.shape
+    words = b"".join(struct.pack("<I", len(text)) + text for text in (b"map", b"2024-05-07"))
+    head = b"OmniSurf3D" + struct.pack("<2i", 1, 0) + words + struct.pack("<2i4d", columns, rows, *PITCH, 0, 0)
+    return head + np.nan_to_num(height[::-1], nan=np.finfo(np.float32).min).astype("<f4").tobytes()
+
+
+def plux(height: np.ndarray) -> bytes:
+    rows, columns = height.shape
+    general = {
+        "IMAGE_SIZE_X": columns,
+        "IMAGE_SIZE_Y": rows,
+        "FOV_X": PITCH[0],
+        "FOV_Y": PITCH[1],
+        "DATE": "Tue May 7 10:00:00 2024",
+    }
+    items = "".join(f"<{name}>{value}</{name}>" for name, value in general.items())
+    index = f"<xml><GENERAL>{items}</GENERAL><INFO><SIZE>0</SIZE></INFO><LAYER_0><FILENAME_Z>LAYER_0.raw</FILENAME_Z></LAYER_0></xml>"
+    return _archive({"index.xml": index.encode(), "LAYER_0.raw": height[::-1].astype("<f4").tobytes()})
+
+
+def tmd(height: np.ndarray) -> bytes:
+    """Lengths and heights in mm. The format, as far as it is known, marks no missing height."""
+    rows, columns = height.shape
+    head = b"Binary TrueMap Data File v2.0\r\n\0" + b"Created by TrueMap v6\r\n\0"
+    sizes = struct.pack("<2I4f", columns, rows, PITCH[0] * columns * 1e-3, PITCH[1] * rows * 1e-3, 0, 0)
+    return head + sizes + (np.nan_to_num(height[::-1], nan=np.nanmin(height)) * 1e-3).astype("<f4").tobytes()
+
+
+def vk4(height: np.ndarray) -> bytes:
+    """Counts of 0.1 nm below 17 offsets and the settings of the measurement; lengths in pm. No height is marked as missing."""
+    rows, columns = height.shape
+    start = 12 + 72 + 4 * 83
+    offsets = [84, *[0] * 5, start, *[0] * 11]
+    settings = [0] * 83
+    settings[0], settings[1:4] = 4 * 83, [2024, 5, 7]
+    settings[42:45] = [round(PITCH[0] * 1e6), round(PITCH[1] * 1e6), 100]
+    raw = np.round((np.nan_to_num(height[::-1], nan=np.nanmin(height)) - np.nanmin(height)) * 1e4).astype("<u4")
+    image = struct.pack("<7I", columns, rows, 32, 0, raw.nbytes, 0, 0) + bytes(768) + raw.tobytes()
+    return b"VK4_" + bytes(8) + struct.pack("<18I", *offsets) + struct.pack("<83I", *settings) + image
+
+
+def vk6(height: np.ndarray) -> bytes:
+    return b"VK6" + bytes(5) + _archive({"Vk4File": vk4(height)})
+
+
+def zmg(height: np.ndarray) -> bytes:
+    """Counts of 0.1 nm, 16 bits. The format, as far as it is known, marks no missing height."""
+    rows, columns = height.shape
+    head = b"Zeta-Instruments" + bytes(69) + struct.pack("<2I4x3f8xI10x68s6x", columns, rows, *PITCH, 1e-4, 0, b"map")
+    raw = np.round((np.nan_to_num(height[::-1], nan=np.nanmin(height)) - np.nanmin(height)) * 1e4)
+    return head + raw.astype("<u2").tobytes()
+
+
+def zon(height: np.ndarray) -> bytes:
+    """A picture, then an archive of XML and of arrays, counts of 0.1 nm and their validity."""
+    rows, columns = height.shape
+    scale = f"<C><XYCalibration><MeterPerPixel>{PITCH[0] * 1e-6}</MeterPerPixel></XYCalibration>"
+    scale += "<ZCalibration><MeterPerUnit>1e-10</MeterPerUnit></ZCalibration></C>"
+    raw = np.round(np.nan_to_num(height[::-1]) * 1e4).astype("<i4")
+    gaps = np.isnan(height[::-1]).astype("u1")
+    entries = {
+        "cbc1d39b-215f-4d56-a20e-cf8e5f570755": b"<D><DeviceModelName>VR</DeviceModelName><DeviceSerialId>1</DeviceSerialId></D>",
+        "1d35862b-3b48-4df2-9235-833ef590b043": b"<S><ScanDateTime>2024-05-07T10:00:00</ScanDateTime></S>",
+        "686613b8-27b5-4a29-8ffc-438c2780873e": scale.encode(),
+        "4cdb0c75-5706-48cc-a9a1-adf395d609ae": struct.pack("<4i", columns, rows, 4, 4 * columns) + raw.tobytes(),
+        "9e7ca6dd-0e6a-4d7b-8986-f0a7b773c916": struct.pack("<4i", columns, rows, 1, columns) + gaps.tobytes(),
+    }
+    return b"KPK0" + struct.pack("<I", 4) + bytes(4) + _archive(entries)
+
+
+def _archive(entries: dict[str, bytes]) -> bytes:
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, content in entries.items():
+            archive.writestr(name, content)
+    return buffer.getvalue()
 
 
 def nms(height: np.ndarray) -> bytes:
@@ -113,12 +225,85 @@ def sur(height: np.ndarray) -> bytes:
 
 WRITERS: dict[str, Callable[[np.ndarray], bytes]] = {
     "al3d": al3d,
+    "gwy": gwy,
     "nms": nms,
     "opd": opd,
+    "os3d": os3d,
     "plu": plu,
+    "plux": plux,
     "sdf": sdf,
     "sur": sur,
+    "tmd": tmd,
+    "vk4": vk4,
+    "vk6": vk6,
+    "zmg": zmg,
+    "zon": zon,
 }
 """Extension → writer."""
 
-MARKS_MISSING = {"al3d", "opd", "plu", "sdf", "sur"}
+MARKS_MISSING = {"al3d", "gwy", "opd", "os3d", "plu", "plux", "sdf", "sur", "zon"}
+SQUARE = {"zon"}
+"""Formats that state one pitch for both axes."""
+
+COUNTS = {"vk4", "vk6", "zmg"}
+"""Formats of unsigned counts, whose lowest height is 0."""
+
+_MANY = struct.pack("<I", 40_000)
+"""Points along an axis: 1.6e9 along both."""
+
+
+def _with(content: bytes, place: int, length: int = 2) -> bytes:
+    return content[:place] + _MANY * length + content[place + 4 * length :]
+
+
+POINTS: dict[str, list[Callable[[bytes], bytes]]] = {
+    "gwy": [
+        lambda content: content.replace(b"xres\0i2\0\0\0", b"xres\0i" + _MANY).replace(
+            b"yres\0i(\0\0\0", b"yres\0i" + _MANY
+        )
+    ],
+    "os3d": [lambda content: _with(content, 10 + 8 + 7 + 14)],
+    "plux": [lambda content: replaced(content, "index.xml", b"_X>50<", b"_X>40000<", b"_Y>40<", b"_Y>40000<")],
+    "tmd": [lambda content: _with(content, 32 + 24)],
+    "vk4": [lambda content: _with(content, 12 + 72 + 4 * 83)],
+    "zmg": [lambda content: _with(content, 16 + 69)],
+    "zon": [
+        lambda content: replaced(
+            content,
+            "4cdb0c75-5706-48cc-a9a1-adf395d609ae",
+            struct.pack("<2I", 50, 40),
+            2 * _MANY,
+            struct.pack("<I", 200),
+            struct.pack("<I", 160_000),
+        )
+    ],
+}
+"""Changes of the size that a file states, by extension."""
+
+
+def replaced(content: bytes, entry: str, *changes: bytes) -> bytes:
+    """The archive at the end of a file, with bytes of one entry replaced: old, new, old, new …"""
+    prefix, entries = _taken_apart(content)
+    for old, new in zip(changes[::2], changes[1::2], strict=True):
+        assert old in entries[entry]
+        entries[entry] = entries[entry].replace(old, new, 1)
+    return prefix + _archive(entries)
+
+
+def with_prolog(content: bytes, prolog: str) -> bytes:
+    """Every XML document of the archive at the end of a file, behind a prolog."""
+    prefix, entries = _taken_apart(content)
+    return prefix + _archive(
+        {name: prolog.encode() + data if data[:1] == b"<" else data for name, data in entries.items()}
+    )
+
+
+def with_entry(content: bytes, name: str, data: bytes) -> bytes:
+    """The archive at the end of a file, with one more entry."""
+    prefix, entries = _taken_apart(content)
+    return prefix + _archive(entries | {name: data})
+
+
+def _taken_apart(content: bytes) -> tuple[bytes, dict[str, bytes]]:
+    with zipfile.ZipFile(io.BytesIO(content)) as archive:
+        return content[: content.index(b"PK\3\4")], {name: archive.read(name) for name in archive.namelist()}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import tracemalloc
 import zipfile
 from pathlib import Path
 from types import SimpleNamespace
@@ -35,9 +36,56 @@ def test_a_map_keeps_its_orientation_its_scale_and_its_gaps(
     path.write_bytes(instrument_files.WRITERS[suffix](height))
     surface = read_surface(path)
     expected = height if suffix in instrument_files.MARKS_MISSING else np.nan_to_num(height, nan=np.nanmin(height))
+    if suffix in instrument_files.COUNTS:
+        expected = expected - expected.min()
     # Integers of 1e-4 um, or single precision.
     np.testing.assert_allclose(surface.height, expected, rtol=0, atol=5.1e-5)
-    assert (surface.attrs["pitch_x"], surface.attrs["pitch_y"]) == pytest.approx(instrument_files.PITCH, rel=1e-6)
+    pitch_x, pitch_y = instrument_files.PITCH
+    pitches = (pitch_x, pitch_x if suffix in instrument_files.SQUARE else pitch_y)
+    assert (surface.attrs["pitch_x"], surface.attrs["pitch_y"]) == pytest.approx(pitches, rel=1e-6)
+
+
+@pytest.mark.usefixtures("library")
+@pytest.mark.parametrize("suffix", sorted(instrument_files.POINTS))
+def test_a_header_that_claims_a_milliard_points_is_refused(tmp_path: Path, asymmetric: xr.Dataset, suffix: str) -> None:
+    path = tmp_path / f"map.{suffix}"
+    for change in instrument_files.POINTS[suffix]:
+        path.write_bytes(change(instrument_files.WRITERS[suffix](asymmetric.height.values)))
+        tracemalloc.start()
+        with pytest.raises(InputError, match=rf"^map\.{suffix}: "):
+            read_surface(path)
+        assert tracemalloc.get_traced_memory()[1] < 2**26
+        tracemalloc.stop()
+
+
+@pytest.mark.usefixtures("library")
+def test_archives_of_instruments_with_entities_or_beyond_the_limit_are_refused(
+    tmp_path: Path, asymmetric: xr.Dataset
+) -> None:
+    bomb = '<?xml version="1.0"?><!DOCTYPE x [<!ENTITY a "aaaa"><!ENTITY b "&a;&a;&a;">]>'
+    for suffix in ("plux", "zon"):
+        content = instrument_files.WRITERS[suffix](asymmetric.height.values)
+        path = tmp_path / f"map.{suffix}"
+        path.write_bytes(instrument_files.with_prolog(content, bomb))
+        with pytest.raises(InputError, match=r"EntitiesForbidden|DTDForbidden"):
+            read_surface(path)
+        path.write_bytes(instrument_files.with_prolog(content, '<?xml version="1.0"?>'))
+        read_surface(path)
+        path.write_bytes(instrument_files.with_entry(content, "more", bytes(2**26)))
+        with pytest.raises(InputError, match="suspiciously large"):
+            read_surface(path)
+
+
+@pytest.mark.usefixtures("library")
+def test_the_unit_of_a_format_that_states_none_is_asked_for(shared_data: Path) -> None:
+    path = shared_data / "surfaces" / "tmd-1.tmd"
+    assumed, stated = read_surface(path), read_surface(path, unit="um")
+    (warning,) = vocabulary.warnings(assumed)
+    assert "read in mm, which gives a pitch of 63.19 x 63.19 um" in warning
+    assert vocabulary.warnings(stated) == vocabulary.warnings(read_surface(path, unit="mm")) == []
+    assert stated.attrs["pitch_x"] == pytest.approx(assumed.attrs["pitch_x"] / 1000)
+    np.testing.assert_allclose(stated.height, assumed.height / 1000, rtol=1e-12)
+    np.testing.assert_array_equal(read_surface(path, unit="mm").height, assumed.height)
 
 
 @pytest.mark.usefixtures("library")

@@ -147,8 +147,8 @@ def key_tables() -> dict[str, dict[str, str]]:
             "table": rendering.table(keys.TableFile, "table."),
             "model": rendering.table(keys.Model, "model."),
             "config": rendering.table(Config),
-            "formats of surfaces": _format_table(SURFACE_FORMATS, "Needs"),
-            "formats of spectra": _format_table(SPECTRUM_FORMATS, "Holds"),
+            "formats of surfaces": _surface_format_table(),
+            "formats of spectra": _spectrum_format_table(),
         },
         "docs/rig.md": {
             "rig": rendering.table(RigKeys),
@@ -191,12 +191,23 @@ def _ladder_table() -> str:
     return "\n".join(rows)
 
 
-def _format_table(formats: Mapping[str, FileFormat], title: str) -> str:
-    rows = [f"| Format | Extensions | {title} |", "|---|---|---|"]
-    for name, known in formats.items():
-        extensions = " ".join(f"`{extension}`" for extension in known.extensions)
-        rows.append(f"| `{name}` | {extensions or 'none: name the format'} | {known.description} |")
+def _spectrum_format_table() -> str:
+    rows = ["| Format | Extensions | Holds |", "|---|---|---|"]
+    rows += [f"| `{name}` | {_extensions(known)} | {known.description} |" for name, known in SPECTRUM_FORMATS.items()]
     return "\n".join(rows)
+
+
+def _surface_format_table() -> str:
+    rows = ["| Format | Extensions | Needs | Read by | Tried on | Rows |", "|---|---|---|---|---|---|"]
+    rows += [
+        f"| `{name}` | {_extensions(known)} | {known.description} | {known.read_by} | {known.tried or 'no real file'} | {known.orientation} |"
+        for name, known in SURFACE_FORMATS.items()
+    ]
+    return "\n".join(rows)
+
+
+def _extensions(known: FileFormat) -> str:
+    return " ".join(f"`{extension}`" for extension in known.extensions) or "none: name the format"
 
 
 def files(project: Path) -> dict[str, str]:

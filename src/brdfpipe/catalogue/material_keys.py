@@ -134,6 +134,7 @@ class MeasuredSurface(Keys):
     )
     unit: Annotated[str, OneOf(UNITS)] = key(
         "unit of the heights: nm, um (or µm), mm or m; needed for text and NumPy files that do not state it",
+        details="A `tmd` file takes it too, for all its lengths.",
         stage="surface",
     )
     lateral_unit: Annotated[str, OneOf(UNITS)] = key(

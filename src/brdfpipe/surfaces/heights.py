@@ -62,6 +62,16 @@ class SurfaceFormat(FileFormat):
     read: Callable[..., Heights]
     options: tuple[str, ...] = ()
     """Keyword arguments of the reader, keys of ``surface``."""
+    read_by: str = "brdfpipe"
+    """The program whose code reads it."""
+    tried: str = ""
+    """Files of real instruments that were read, for the documentation; empty without any."""
+    orientation: str = "first row at y = 0"
+    """Which edge of the map comes first, and how that is known, for the documentation."""
+
+
+LINES, UNCONFIRMED = "line profiles", "upper edge first, unconfirmed"
+"""Orientations of formats: of those without maps, and of those for which neither a description nor a second reader says it."""
 
 
 UNSTATED = ("unit", "lateral_unit", "pitch")

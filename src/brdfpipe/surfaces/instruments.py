@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from brdfpipe.errors import InputError
 from brdfpipe.surfaces import archives
 from brdfpipe.surfaces.archives import MAX_POINTS
-from brdfpipe.surfaces.heights import PITCH_RANGE, Heights, SurfaceFormat, infinite_as_missing
+from brdfpipe.surfaces.heights import LINES, PITCH_RANGE, UNCONFIRMED, Heights, SurfaceFormat, infinite_as_missing
 from brdfpipe.surfaces.units import UNITS, scales
 
 LIBRARY = "SurfaceTopography"
@@ -38,42 +38,63 @@ class Instrument:
     title: str
     extensions: tuple[str, ...]
     """Extensions that select the format; without any, `surface.format` must name it."""
+    tried: str = ""
+    """Files of real instruments that were read; empty if only files that the tests write, or none, were."""
+    orientation: str = UNCONFIRMED
+    """How it is known which edge of the picture comes first."""
     from_top: bool = True
     """Whether the library's first row is the upper edge of the picture, as Gwyddion shows it, and not y = 0."""
     options: tuple[str, ...] = ("channel",)
     """Options of :func:`read_instrument` that apply."""
 
 
+_SECOND_READER = "upper edge first, as surfalize reads it"
+
 INSTRUMENTS: Mapping[str, Instrument] = {
-    "al3d": Instrument("Alicona AL3D", (".al3d",)),
+    "al3d": Instrument("Alicona AL3D", (".al3d",), "al3d-1.al3d", "confirmed: the camera's picture in the file"),
     "datx": Instrument("Zygo DATX", (".datx",)),
-    "frt": Instrument("FRT MicroProf", (".frt",)),
-    "gwy": Instrument("Gwyddion GWY", (".gwy",)),
+    "frt": Instrument("FRT MicroProf", (".frt",), "frt-1.frt, frt-2.frt"),
+    "gwy": Instrument("Gwyddion GWY", (".gwy",), "", "confirmed: Gwyddion defines it"),
     # .dat is text more often than not.
-    "metropro": Instrument("Zygo MetroPro DAT", ()),
-    "mitutoyo": Instrument("Mitutoyo SurfTest workbook", (".xlsx",)),
-    "mnt": Instrument("Digital Surf MNT", (".mnt",)),
-    "nms": Instrument("NanoFocus NMS", (".nms",), options=("channel", "lateral_unit")),
-    "opd": Instrument("Wyko OPD", (".opd",)),
-    "opdx": Instrument("Bruker OPDx", (".opdx",)),
-    "plu": Instrument("Sensofar PLU", (".plu", ".apx")),
-    "plux": Instrument("Sensofar PLUX", (".plux",)),
+    "metropro": Instrument("Zygo MetroPro DAT", (), "metropro-1.dat", _SECOND_READER),
+    "mitutoyo": Instrument("Mitutoyo SurfTest workbook", (".xlsx",), "mitutoyo_2_mock.xlsx", LINES),
+    "mnt": Instrument("Digital Surf MNT", (".mnt",), "mnt-1.mnt, mnt-2.mnt"),
+    "nms": Instrument(
+        "NanoFocus NMS", (".nms",), "nms-1.nms, nms-2.nms", _SECOND_READER, options=("channel", "lateral_unit")
+    ),
+    "opd": Instrument("Wyko OPD", (".opd",), "opd-1.opd", _SECOND_READER),
+    "opdx": Instrument("Bruker OPDx", (".opdx",), "opdx-3.opdx, a line"),
+    "os3d": Instrument("OmniSurf3D OS3D", (".os3d",)),
+    "plu": Instrument("Sensofar PLU", (".plu", ".apx"), "plu-1.plu", _SECOND_READER),
+    "plux": Instrument("Sensofar PLUX", (".plux",), "", _SECOND_READER),
     # The standard's coordinates are right-handed: y grows with the rows.
-    "sdf": Instrument("ISO 25178-71 SDF", (".sdf",), from_top=False),
-    "sur": Instrument("Digital Surf SUR", (".sur",)),
+    "sdf": Instrument(
+        "ISO 25178-71 SDF", (".sdf",), "sdf-1.sdf, refused: 7 x 4 points", "confirmed: the standard", from_top=False
+    ),
+    "sur": Instrument("Digital Surf SUR", (".sur",), "sur-2.sur", _SECOND_READER),
+    "tmd": Instrument("TrueMap TMD", (".tmd",), "tmd-1.tmd", _SECOND_READER, options=("channel", "unit")),
     "vk": Instrument("Keyence VK", (".vk3", ".vk4", ".vk6", ".vk7")),
+    "zmg": Instrument("KLA Zeta ZMG", (".zmg",), "", _SECOND_READER),
     "zon": Instrument("Keyence ZON", (".zon",)),
 }
 """Formats by the library's name. Formats of scanning probes, and text, are left out."""
 
 
-def read_instrument(path: Path, format: str, *, channel: str | None = None, lateral_unit: str | None = None) -> Heights:
+def read_instrument(
+    path: Path,
+    format: str,
+    *,
+    channel: str | None = None,
+    unit: str | None = None,
+    lateral_unit: str | None = None,
+) -> Heights:
     """Read a height map or a line profile from a file of an instrument.
 
     Parameters
     ----------
     format : a key of :data:`INSTRUMENTS`
     channel : the name of the height channel; by default the first of the file
+    unit : nm, um, mm, m; of all lengths in a format that does not state it (``tmd``)
     lateral_unit : nm, um, mm, m; of the pitch in a format that does not state it (``nms``)
 
     Returns
@@ -102,6 +123,9 @@ def read_instrument(path: Path, format: str, *, channel: str | None = None, late
     pitches = [pitch * unit_scale for pitch in pitches]
     if "lateral_unit" in instrument.options:
         pitches, doubts = _of_unstated_unit(pitches, lateral_unit, path)
+    if "unit" in instrument.options:
+        unit_scale, doubts = _scale_of_unstated_unit(unit, unit_scale, pitches, path)
+        pitches = [pitch * unit_scale / UNITS["mm"] for pitch in pitches]
     height *= unit_scale
     pitch_y = pitches[1] if height.ndim == 2 else None
     return Heights(height, pitches[0], pitch_y, tuple(history), doubts)
@@ -196,6 +220,19 @@ def _pitches(topography: Any, path: Path) -> list[float]:
     return [float(size) / int(count) for size, count in zip(sizes, counts, strict=True)]
 
 
+def _scale_of_unstated_unit(
+    unit: str | None, assumed: float, pitches: Sequence[float], path: Path
+) -> tuple[float, tuple[str, ...]]:
+    """Factor that converts all lengths to µm in a format without a unit, for which the library assumes mm; and warnings."""
+    if unit is not None:
+        return scales(path, {}, unit, None, setting="")[0], ()
+    pitch = " x ".join(f"{value:.4g}" for value in pitches)
+    return assumed, (
+        f"The format states no unit. Lengths and heights were read in mm, which gives a pitch of {pitch} um; programs differ. Slopes are "
+        "the same in any unit, waves are not: compare the pitch with the instrument's, and set `surface.unit` (mm confirms it).",
+    )
+
+
 def _of_unstated_unit(
     pitches: list[float], lateral_unit: str | None, path: Path
 ) -> tuple[list[float], tuple[str, ...]]:
@@ -243,6 +280,9 @@ FORMATS = tuple(
         f"{instrument.title}; needs the extra `instruments`",
         partial(read_instrument, format=name),
         instrument.options,
+        LIBRARY,
+        instrument.tried,
+        instrument.orientation,
     )
     for name, instrument in INSTRUMENTS.items()
 )

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from brdfpipe import columns
 from brdfpipe.errors import InputError
-from brdfpipe.surfaces.heights import UNSTATED, Heights, SurfaceFormat
+from brdfpipe.surfaces.heights import LINES, UNSTATED, Heights, SurfaceFormat
 from brdfpipe.surfaces.units import UNITS, needed_steps, pitch_steps, scales
 
 LAYOUTS = ("line", "grid", "xyz")
@@ -475,6 +475,7 @@ FORMATS = (
         "unit (or a line `# unit: um`); pitch (or `# pitch: 0.5 0.5`) where there are no positions; neither with the header of a Gwyddion export, whose first row is the upper edge",
         read_text,
         ("layout", *UNSTATED),
+        tried="dektak-1.csv, nanovea_test1.txt; gwyddion-export-english.txt, refused: 4 x 3 points",
     ),
-    SurfaceFormat("hfm", (".hfm",), "the file states unit and pitch", read_hfm),
+    SurfaceFormat("hfm", (".hfm",), "the file states unit and pitch", read_hfm, tried="hfm-1.hfm", orientation=LINES),
 )

@@ -327,4 +327,13 @@ def _document(feature: str, code: str, shape: tuple[int, ...], pitches: tuple[fl
 """
 
 
-FORMATS = (SurfaceFormat("x3p", (".x3p",), "the file states unit and pitch", read_x3p),)
+FORMATS = (
+    SurfaceFormat(
+        "x3p",
+        (".x3p",),
+        "the file states unit and pitch",
+        read_x3p,
+        tried="KautschukInfiniteFocus.x3p, x3p-2.x3p",
+        orientation="confirmed: the standard, and as surfalize reads it",
+    ),
+)
