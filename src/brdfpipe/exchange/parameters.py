@@ -64,8 +64,8 @@ def write(bsdf: xr.Dataset, path: Path, *, largest_error: float) -> records.Reco
         "x": "distance of the direction cosines from those of the mirror direction, |beta - beta0|",
         "error": "relative: median and 95th percentile of BRDF cos theta_o, and the largest of the directional reflectance (albedo) and of the BRDF "
         "in the mirror direction (peak) to 75 degree",
-        "by_incidence": "parameters of single incidences, and their error there; the error of the whole list is that of the BRDF interpolated linearly "
-        "between them. Parameters cannot be interpolated",
+        "by_incidence": "parameters of single incidences, and their error there; the error of the whole list is that of parameters interpolated linearly "
+        "in the cosine of the incidence",
         "fits": fits,
         "left_out": records.left_out(bsdf, FORMAT, channels=1),
     }

@@ -23,6 +23,10 @@ _COMPARED = 7
 _STARTING_WIDTHS = (0.01, 0.03, 0.1, 0.3)
 
 
+Parameters = tuple[float, float, float] | tuple[Array, Array, Array]
+"""Of a lobe, for all directions or for each."""
+
+
 @dataclass(frozen=True)
 class Formula:
     """A formula with three parameters of its lobe."""
@@ -30,24 +34,24 @@ class Formula:
     words: str
     names: tuple[str, str, str]
     """Peak or scale [sr-1], width [1], and exponent"""
-    lobe: Callable[[Array, Array, Array, tuple[float, float, float]], Array]
+    lobe: Callable[[Array, Array, Array, Parameters], Array]
     """(x, cos θ_i, cos θ_o, parameters) → BRDF [sr-1]"""
     from_peak: Callable[[float, float, float], tuple[float, float, float]]
     """Peak [sr-1], half width [1], exponent → parameters, for a start"""
     exponents: tuple[float, float] = (0.5, 8.0)
 
 
-def _abg(x: Array, _i: Array, _o: Array, parameters: tuple[float, float, float]) -> Array:
+def _abg(x: Array, _i: Array, _o: Array, parameters: Parameters) -> Array:
     a, b, g = parameters
     return np.asarray(a / (b + x**g))
 
 
-def _harvey(x: Array, _i: Array, _o: Array, parameters: tuple[float, float, float]) -> Array:
+def _harvey(x: Array, _i: Array, _o: Array, parameters: Parameters) -> Array:
     peak, width, slope = parameters
     return np.asarray(peak * (1 + (x / width) ** 2) ** (-slope / 2))
 
 
-def _k_correlation(x: Array, cos_i: Array, cos_o: Array, parameters: tuple[float, float, float]) -> Array:
+def _k_correlation(x: Array, cos_i: Array, cos_o: Array, parameters: Parameters) -> Array:
     return np.asarray(cos_i * cos_o * _harvey(x, cos_i, cos_o, parameters))
 
 
@@ -129,7 +133,7 @@ def fit_formula(bsdf: xr.Dataset, name: str, theta_i: float | None = None) -> Sc
 def error_by_incidence(
     bsdf: xr.Dataset, name: str, parameters: Mapping[float, Mapping[str, float]], theta_i: float | None = None
 ) -> ScatterError:
-    """Error of a formula whose BRDF is interpolated linearly between the incidences that have parameters.
+    """Error of a formula whose parameters are interpolated linearly in the cosine of the incidence, as OpticStudio does.
 
     Parameters
     ----------
@@ -138,26 +142,30 @@ def error_by_incidence(
     theta_i : the incidence of the error; see :func:`fit_formula`
     """
     formula, reduced = FORMULAS[name], nonspectral(bsdf)
-    known = np.array(list(parameters))
-    listed = [(_lobe_of(formula, one), one["L"]) for one in parameters.values()]
+    known = np.cos(np.radians(list(parameters)))[::-1]
 
-    def shares(theta_i: Array) -> Array:
-        """(parameters, incidences) weights of the interpolation."""
-        return np.stack([np.interp(theta_i, known, row) for row in np.eye(known.size)])
+    def at(theta_i: Array) -> tuple[tuple[Array, Array, Array], Array]:
+        """The parameters of the lobe and the reflectance of the base, each in the shape of ``theta_i``."""
+        cosine = np.cos(np.radians(theta_i))
+        scale, width, exponent, base = (
+            np.interp(cosine, known, [one[key] for one in parameters.values()][::-1]) for key in (*formula.names, "L")
+        )
+        return (scale, width, exponent), base
 
     def evaluate(theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array, _: Array | None) -> Array:
-        x = distance(Pairs(theta_i, phi_i, theta_o, phi_o))
         cosines = np.cos(np.radians(theta_i)), np.cos(np.radians(theta_o))
-        values = [formula.lobe(x, *cosines, lobe) + base / np.pi for lobe, base in listed]
-        return np.asarray((shares(theta_i) * values).sum(axis=0))[:, None]
+        lobe, base = at(theta_i)
+        return np.asarray(formula.lobe(distance(Pairs(theta_i, phi_i, theta_o, phi_o)), *cosines, lobe) + base / np.pi)[
+            :, None
+        ]
 
     incidences = INCIDENCES if theta_i is None else np.array([theta_i])
     fresh = fresh_pairs(reduced, _COMPARED) if theta_i is None else fresh_pairs_at(reduced, incidences, _COMPARED)
     errors = errors_at(reduced, evaluate, fresh.chosen(fresh.theta_o < 90))
     model, plane = representation(reduced), np.zeros_like(incidences)
     scattered = (model.albedo(incidences, plane, None) - model.specular(incidences, plane, None)[0])[:, 0]
-    reflectances = [reflectance_of(formula, lobe, incidences) + base for lobe, base in listed]
-    off = np.abs((shares(incidences) * reflectances).sum(axis=0) - scattered)
+    lobe, base = at(incidences)
+    off = np.abs(reflectance_of(formula, lobe, incidences) + base - scattered)
     return ScatterError(
         float(np.median(errors)),
         float(np.quantile(errors, 0.95)),
@@ -165,11 +173,6 @@ def error_by_incidence(
         float(errors_at(reduced, evaluate, Pairs(incidences, plane, incidences, plane + 180.0)).max()),
         errors.size,
     )
-
-
-def _lobe_of(formula: Formula, parameters: Mapping[str, float]) -> tuple[float, float, float]:
-    scale, width, exponent = (parameters[one] for one in formula.names)
-    return scale, width, exponent
 
 
 def _least_squares(formula: Formula, pairs: Pairs, values: Array) -> tuple[float, float, float, float]:
@@ -194,17 +197,18 @@ def _least_squares(formula: Formula, pairs: Pairs, values: Array) -> tuple[float
     return scale, width, exponent, base
 
 
-def reflectance_of(formula: Formula, parameters: tuple[float, float, float], theta_i: Array) -> Array:
-    """Directional reflectance of the lobe of a formula at incidences in degree, shape of ``theta_i``.
+def reflectance_of(formula: Formula, parameters: Parameters, theta_i: Array) -> Array:
+    """Directional reflectance of the lobe of a formula at incidences in degree, shape of ``theta_i``; ``parameters`` of all or of each.
 
     The integral of the BRDF over the projected solid angle, which is the area of direction cosines: rings about the mirror direction, cut at the horizon.
     """
     x = np.geomspace(1e-6, 2.0, 1000)[:, None]
     azimuth = np.radians(np.arange(0.5, 180))
+    scale, width, exponent = np.broadcast_arrays(*parameters, theta_i)[:3]
     reflectance = []
-    for incidence in np.radians(theta_i):
+    for row, incidence in enumerate(np.radians(theta_i)):
         squared = np.sin(incidence) ** 2 + 2 * x * np.sin(incidence) * np.cos(azimuth) + x**2
         cos_o = np.sqrt(np.maximum(1 - squared, 0.0))
-        brdf = formula.lobe(x, np.cos(incidence), cos_o, parameters) * (squared < 1)
+        brdf = formula.lobe(x, np.cos(incidence), cos_o, (scale[row], width[row], exponent[row])) * (squared < 1)
         reflectance.append(np.trapezoid(2 * np.pi * brdf.mean(axis=1) * x[:, 0] ** 2, np.log(x[:, 0])))
     return np.asarray(reflectance)
