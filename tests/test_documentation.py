@@ -4,15 +4,20 @@ from __future__ import annotations
 
 import importlib
 import re
+import shlex
 from pathlib import Path
 
 import pytest
+import samples
 import xarray as xr
+from click.testing import CliRunner
 from source_tree import PACKAGE, modules
 
-from brdfpipe import flakes, spectra, store
+from brdfpipe import exchange, flakes, spectra, store
 from brdfpipe.bsdf import flake, lambert_gauss
 from brdfpipe.catalogue import generated_files
+from brdfpipe.cli.main import main
+from brdfpipe.exchange.registry import FORMATS
 from brdfpipe.spectra import colorimetry
 from brdfpipe.stages import STAGES
 
@@ -56,6 +61,42 @@ def test_the_examples_of_the_readme_run(tmp_path: Path, monkeypatch: pytest.Monk
 
 def test_the_examples_of_a_paint_run() -> None:
     assert run("docs/materials.md", {"bsdf": paint(0.0), "other": paint(2.0)})
+
+
+def commands(page: Path) -> list[list[str]]:
+    """The words of the commands ``brdfpipe convert``, ``compare`` and ``formats`` in the blocks of a page."""
+    blocks = re.findall(r"^```sh\n(.*?)^```$", page.read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL)
+    lines = [shlex.split(line, comments=True) for block in blocks for line in block.splitlines()]
+    return [line[1:] for line in lines if line[:1] == ["brdfpipe"] and line[1] in ("convert", "compare", "formats")]
+
+
+EXCHANGE_PAGES = [PROJECT / "docs" / "exchange.md", *sorted((PROJECT / "docs" / "programs").glob("*.md"))]
+
+
+@pytest.mark.parametrize("page", EXCHANGE_PAGES, ids=lambda page: page.name)
+def test_the_commands_of_a_page_on_other_programs_run(
+    page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    place = tmp_path / "results" / "abs-grain" / "bsdf.nc"
+    place.parent.mkdir(parents=True)
+    store.save_dataset(samples.beckmann_bsdf(0.4), place, stage="bsdf", material="abs-grain", inputs={}, parameters={})
+    monkeypatch.chdir(tmp_path)
+    if "vinyl" in page.read_text(encoding="utf-8"):
+        for name in ("vinyl.bsdf", "vinyl.zemax.bsdf"):
+            exchange.write(diffuser(), tmp_path / name, "zemax", tolerance=0.1)
+    found = commands(page)
+    assert found or page.name in ("mitsuba.md", "radiance.md")
+    for words in found:
+        result = CliRunner().invoke(main, words)
+        assert result.exit_code == 0, (words, result.output)
+
+
+def test_a_page_for_each_format_of_a_program_is_linked() -> None:
+    text = (PROJECT / "docs" / "exchange.md").read_text(encoding="utf-8")
+    linked = set(re.findall(r"\]\(programs/([\w.]+)\)", text))
+    assert linked == {page.name for page in EXCHANGE_PAGES[1:]}
+    for name in FORMATS:
+        assert f"`{name}`" in text, name
 
 
 def test_the_documentation_lists_the_illuminants_that_are_known() -> None:
