@@ -218,6 +218,15 @@ def test_incidences_that_the_file_does_not_have_are_named():
     assert warnings_of(many) == ""
 
 
+@pytest.mark.parametrize(("last", "named"), [(90, True), (180, False), (360, False)])
+def test_azimuths_of_incidence_that_are_neither_a_circle_nor_half_of_it_are_named(last, named):
+    read = table()
+    lay = np.linspace(0, last, 4)
+    values = np.repeat(read.values[None], lay.size, axis=0)
+    found = warnings_of(ReadTable("specular", {"phi_i": lay, **read.axes}, values))
+    assert ("from 0 to 90 degree, neither a circle nor half of it" in found) == named
+
+
 def test_one_incidence_serves_for_all_and_says_so():
     read = table()
     one = ReadTable(read.layout, {**read.axes, "theta_i": np.array([30.0])}, read.values[:1])

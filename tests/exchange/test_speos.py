@@ -148,6 +148,14 @@ def test_intensity_values_lose_their_cosine(tmp_path):
     assert found[1] == pytest.approx(found[0])
 
 
+@pytest.mark.parametrize(("end", "length"), [("\n", 15), ("\r\n", 16)])
+def test_a_description_may_have_several_lines_with_ends_of_either_kind(tmp_path, end, length):
+    path = tmp_path / "hand.anisotropicbsdf"
+    text = BY_HAND.format(kind=1, red=40).replace("11\ndescription\n", f"{length}\nfirst\nsecond li\n")
+    path.write_bytes((text + BLOCK * 2 + "End of file\n").replace("\n", end).encode())
+    assert read(path)["theta_i"].values.tolist() == [0, 60]
+
+
 def test_percentages_scale_values_by_wavelength(tmp_path):
     path = tmp_path / "hand.anisotropicbsdf"
     path.write_text(BY_HAND.format(kind=1, red=40) + BLOCK * 2 + "End of file\n")

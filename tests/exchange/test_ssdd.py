@@ -15,6 +15,7 @@ from brdfpipe.bsdf import microfacet, slab
 from brdfpipe.bsdf.registry import representation
 from brdfpipe.bsdf.table_error import error_of, fresh_pairs
 from brdfpipe.errors import InputError
+from brdfpipe.exchange import ssdd_blocks
 from brdfpipe.exchange.reading import format_of, read
 from brdfpipe.exchange.registry import ExchangeError, write
 
@@ -184,6 +185,24 @@ def test_azimuths_about_the_normal_count_from_a_fixed_direction(tmp_path):
     back = read(by_hand(tmp_path, entries, values))
     found = [float(back.bsdf.evaluate(30, phi_i, 40, phi_o)) for phi_i, phi_o in ((0, 120), (120, 120), (240, 0))]
     assert found == pytest.approx([2, 2, 1])
+
+
+@pytest.mark.parametrize("lists", ["0 90 180 270", "0 90 180 270 360"])
+def test_azimuths_about_the_normal_count_from_the_direction_of_the_one_incidence_too(tmp_path, lists):
+    entries = (
+        "PARAM_TYPE spherical_coordinate_system\nPARAM0_LIST 10 60\nPARAM1_LIST 90\nPARAM2_LIST 10 80\nPARAM3_LIST "
+    )
+    # The value is the azimuth of scatter; the mirror direction of an incidence at 90 is at 270.
+    values = "\n".join(f"{float(around) % 360:g}" for around in lists.split() for _ in range(4))
+    back = read(by_hand(tmp_path, entries + lists, values))
+    assert [float(back.bsdf.evaluate(30, 0, 40, phi_o)) for phi_o in (180, 90, 0)] == pytest.approx([270, 180, 90])
+
+
+def test_a_long_table_of_text_is_read_in_batches(tmp_path, monkeypatch):
+    entries = "PARAM_TYPE specular_coordinate_system\n" + LISTS.format(around="0 180")
+    whole = read(by_hand(tmp_path, entries, "\n".join("12345678")))
+    monkeypatch.setattr(ssdd_blocks, "_BATCH", 3)
+    assert read(by_hand(tmp_path, entries, "\n".join("12345678")))["brdf"].equals(whole["brdf"])
 
 
 @pytest.mark.parametrize(

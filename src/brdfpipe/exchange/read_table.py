@@ -143,7 +143,13 @@ def as_bsdf(read: ReadTable, path: Path) -> xr.Dataset:
         table.attrs["transmission"] = "slab"
     table = vocabulary.label(table, "bsdf")
     luminous = table.drop_dims(["wavelength", "component", "channel"]) if "brdf_xyz" in table else table
-    warnings += _excess(read, luminous) + _declared(read, luminous) + _reciprocity(luminous) + _incidences(read)
+    warnings += (
+        _excess(read, luminous)
+        + _declared(read, luminous)
+        + _reciprocity(luminous)
+        + _incidences(read)
+        + _azimuths(read)
+    )
     if read.side == "transmission":
         table = table.assign_attrs(side="transmission", transmission="slab")
     return vocabulary.add_warning(vocabulary.add_history(table, *read.notes), *read.warnings, *warnings)
@@ -336,6 +342,16 @@ def _incidences(read: ReadTable) -> list[str]:
         return []
     text = f"the file has incidences from {low:g} to {high:g} degree; beyond them the values of the nearest hold"
     return [text if read.layout == "uniform" else f"{text}, about the mirror direction"]
+
+
+def _azimuths(read: ReadTable) -> list[str]:
+    """What holds beyond the azimuths of incidence of a file with a lay, unless they are a circle or, of a surface that half a turn does not change, half of it."""
+    axis = next((read.axes[name] for name in ("phi_i", "phi_h") if name in read.axes), None)
+    if axis is None or axis[-1] - axis[0] in (180, 360):
+        return []
+    return [
+        f"the file has azimuths of incidence from {axis[0]:g} to {axis[-1]:g} degree, neither a circle nor half of it; beyond them the values of the nearest hold"
+    ]
 
 
 def _integrals(table: xr.Dataset, theta_i: float) -> Array:

@@ -58,7 +58,8 @@ def after_title(path: Path, kind: str) -> Lines:
     """
     if path.stat().st_size > LARGEST_FILE:
         raise InputError(path, "the file is too large", accepted=f"at most {LARGEST_FILE >> 20} MiB")
-    lines = path.read_bytes().decode("utf-8", "replace").splitlines()
+    ended = path.read_bytes().decode("utf-8", "replace").splitlines(keepends=True)
+    lines = [line.rstrip("\r\n") for line in ended]
     if len(lines) < 6:
         raise InputError(path, "the file ends early", found=f"{len(lines)} lines", accepted=f"a Speos {kind} file")
     first, _, version = lines[0].lower().rpartition(" v")
@@ -92,10 +93,10 @@ def after_title(path: Path, kind: str) -> Lines:
         raise InputError(
             path, "the file is not text", found=repr(lines[1])[:20], accepted="0, text mode", where="line 2"
         )
-    # The description may have several lines; its length counts their ends.
-    skip, characters = 4, -1
-    while skip < len(lines) and (skip == 4 or characters < length):
-        characters += len(lines[skip]) + 1
+    # The description may have several lines; its length counts the ends between them, of one or two characters.
+    skip, characters = 5, len(lines[4])
+    while skip < len(lines) and characters < length:
+        characters += len(ended[skip - 1]) - len(lines[skip - 1]) + len(lines[skip])
         skip += 1
     return Lines(path, "\0", skip)
 

@@ -28,6 +28,7 @@ _LISTS = {"WAVELENGTH_LIST", *(f"PARAM{number}_LIST" for number in range(5))}
 _IGNORED = {"SOFTWARE", "API", "DATE", "NAME", "SOURCE_TYPE", "DEVICE", "CREATION_DATE", "MEASUREMENT_DATE"}
 _MOST_VALUES = 40_000_000
 _LONGEST_LINE = 2**20
+_BATCH = 2**16
 
 
 @dataclass
@@ -61,16 +62,20 @@ class _Bytes:
 
     def numbers(self, rows: int, columns: int) -> Array:
         """Rows of text."""
-        lines: list[str] = []
-        while len(lines) < rows:
+        # In batches: words of a whole table take many times the memory of its numbers.
+        parts, words = [np.empty(0)], list[str]()
+        for row in range(rows):
             line = self.line()
             if line is None:
-                raise self.error("the file ends early", found=f"{len(lines)} colours", accepted=str(rows))
-            words = line.split()
-            if len(words) != columns:
-                raise self.error("wrong number of channels", found=f"{len(words)} numbers", accepted=str(columns))
-            lines.append(line)
-        return self.finite(" ".join(lines).split()).reshape(rows, columns)
+                raise self.error("the file ends early", found=f"{row} colours", accepted=str(rows))
+            of_row = line.split()
+            if len(of_row) != columns:
+                raise self.error("wrong number of channels", found=f"{len(of_row)} numbers", accepted=str(columns))
+            words += of_row
+            if len(words) > _BATCH:
+                parts.append(self.finite(words))
+                words = []
+        return np.concatenate([*parts, self.finite(words)]).reshape(rows, columns)
 
     def singles(self, count: int) -> Array:
         """Numbers of four bytes, little endian."""
@@ -182,7 +187,8 @@ def _table(blocks: dict[str, _Block], path: Path) -> ReadTable:
         found = ", ".join(reductions - _REDUCTIONS)[:60]
         raise InputError(path, "unknown REDUCTION_TYPE", found=found, accepted=", ".join(sorted(_REDUCTIONS)))
     axes[around], values = _unreduced(axes[around], values, reductions if layout == "half" else set())
-    if layout == "uniform" and with_lay:
+    if layout == "uniform" and (with_lay or axes[azimuth][0] != 0):
+        # Azimuths of scatter count from the same direction as the one azimuth of incidence.
         grid = _relative(axes, values, path)
         axes, values, notes = dict(grid.axes), grid.values, [*notes, *grid.notes]
     else:

@@ -44,8 +44,8 @@ FORMAT = Format(
 _BASIS = "<AngleBasis>LBNL/Shirley-Chiu</AngleBasis>"
 _DEPTHS = {3: range(3, 8), 4: range(3, 6)}
 """Halvings that are tried, of each rank."""
-_DEEPEST = {3: 8, 4: 5}
-"""Most halvings of a tree that is read."""
+_DEEPEST = {3: 7, 4: 5}
+"""Most halvings of a tree that is read: deeper ones have more values than a table takes."""
 _COARSEST = 2.0
 """Largest difference of cells, relative to their mean, that are made one leaf to keep the size."""
 _GAUSS = (0.5 - 0.5 / np.sqrt(3), 0.5 + 0.5 / np.sqrt(3))
@@ -281,13 +281,15 @@ def _repeated(values: NDArray[Any], times: int) -> NDArray[Any]:
 
 def _cells(path: Path, text: str, rank: int, name: str) -> Array:
     """All cells of the finest level of a tree."""
-    leaves: list[tuple[tuple[int, ...], int, Array]] = []
+    # The cells of the deepest tree: a list of leaves would take many times their memory.
+    finest = _DEEPEST[rank]
+    cells = np.zeros((2**finest,) * rank)
     # Each open node: its place among the nodes of its level, and the number of the next branch.
     open_nodes: list[tuple[tuple[int, ...], int]] = []
     deepest, done = 0, False
 
-    def refuse(problem: str, found: object) -> InputError:
-        return InputError(path, problem, where=name, found=str(found)[:40], accepted="nested braces of 2^rank branches")
+    def refuse(problem: str, found: object, accepted: str = "nested braces of 2^rank branches") -> InputError:
+        return InputError(path, problem, where=name, found=str(found)[:40], accepted=accepted)
 
     for token in re.finditer(r"\{|\}|[^{}]+", text):
         word = token[0].replace(",", " ").strip()
@@ -300,8 +302,10 @@ def _cells(path: Path, text: str, rank: int, name: str) -> Array:
                 open_nodes.append(((0,) * rank, 0))
                 continue
             place, number = open_nodes[-1]
-            if number >= 2**rank or len(open_nodes) > _DEEPEST[rank] + 1:
-                raise refuse("a node has too many branches, or too many levels", f"level {len(open_nodes)}")
+            if number >= 2**rank:
+                raise refuse("a node has too many branches", f"level {len(open_nodes)}")
+            if len(open_nodes) > finest:
+                raise refuse("the tree is too deep", f"{len(open_nodes)} levels", f"at most {finest}")
             open_nodes[-1] = place, number + 1
             open_nodes.append((tuple(2 * one + (number >> axis & 1) for axis, one in enumerate(place)), 0))
         elif word == "}":
@@ -321,19 +325,15 @@ def _cells(path: Path, text: str, rank: int, name: str) -> Array:
             if side**rank != values.size or side & (side - 1) or not (np.abs(values) < 1e30).all():
                 raise refuse("a leaf has not 2^(rank k) finite values", f"{values.size} values")
             deepest = max(deepest, level + side.bit_length() - 1)
-            if deepest > _DEEPEST[rank]:
-                raise refuse("the tree is too deep", f"{deepest} levels")
-            leaves.append((place, level, values.reshape((side,) * rank)))
-            open_nodes[-1] = open_nodes[-1][0], -1
+            if deepest > finest:
+                raise refuse("the tree is too deep", f"{deepest} levels", f"at most {finest}")
+            width = 2 ** (finest - level)
+            block = _repeated(values.reshape((side,) * rank), width // side)
+            cells[tuple(slice(one * width, (one + 1) * width) for one in place)] = block
+            open_nodes[-1] = place, -1
     if not done:
         raise refuse("the tree ends early", f"{len(open_nodes)} open braces")
-    deepest = max(deepest, 1)
-    cells = np.zeros((2**deepest,) * rank)
-    for place, level, values in leaves:
-        width = 2 ** (deepest - level)
-        block = _repeated(values, width // values.shape[0])
-        cells[tuple(slice(one * width, (one + 1) * width) for one in place)] = block
-    return cells
+    return cells[(slice(None, None, 2 ** (finest - max(deepest, 1))),) * rank].copy()
 
 
 def _table(path: Path, sides: Mapping[str, Array], notes: tuple[str, ...]) -> ReadTable:
