@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import re
+from pathlib import Path
+
 import numpy as np
 
 from brdfpipe.jobs.scheduling import Queue
@@ -53,3 +56,9 @@ def test_every_job_is_taken_once_and_few_materials_are_under_way():
         begun = {job[:3] for job in done} - {job[:3] for job in done if job.endswith("5")}
         assert len(begun) <= 3
     assert len(set(done)) == 240
+
+
+def test_the_workflow_has_no_pipes_and_services_whose_search_is_left_out():
+    rules = sorted((Path(__file__).parents[2] / "workflow" / "rules").glob("*.smk"))
+    assert len(rules) > 5
+    assert [rule.name for rule in rules if re.search(r"\b(pipe|service)\(", rule.read_text())] == []
