@@ -329,13 +329,17 @@ _COLOURS = (MultiangleFile, MultiangleColours)
 _ARRANGEMENT = StageKeys(read=lambda subject, wildcards: {**wildcards, "incidence": float(wildcards["incidence"])})
 
 
+_OF_FIRST_SCAN = ("azimuth", "region", "mask")
+"""Keys of `surface` that further scans do not share."""
+
+
 def _further_scan(subject: Subject, wildcards: Wildcards) -> dict[str, Any]:
     """Keys of a further scan: those of the first one, and its own instead; how the file is written only of the same extension."""
     surface = subject.section("surface")
     own = dict(surface["scans"][int(wildcards["scan"]) - 2])
     alike = PurePath(own["file"]).suffix.lower() == PurePath(surface["file"]).suffix.lower()
-    shared = _SCAN_KEYS if alike else ("form", "lambda_s", "lambda_c")
-    return {key: surface[key] for key in shared if key in surface and key != "azimuth"} | own
+    shared = _SCAN_KEYS if alike else ("form", "lambda_s", "lambda_c", "outliers")
+    return {key: surface[key] for key in shared if key in surface and key not in _OF_FIRST_SCAN} | own
 
 
 def _facet_model(subject: Subject, wildcards: Wildcards) -> dict[str, Any]:

@@ -78,7 +78,7 @@ def test_the_keys_of_a_material_know_the_formats_the_forms_and_every_option() ->
     assert set(declared(MeasuredSurface, ["format"]).choices) == set(FORMATS)
     assert set(declared(MeasuredSurface, ["form"]).choices) == set(FORMS)
     options = {option for known in FORMATS.values() for option in known.options}
-    reading = {"file", "format", "missing", "form", "lambda_s", "lambda_c"} | options
+    reading = {"file", "format", "missing", "region", "mask", "outliers", "form", "lambda_s", "lambda_c"} | options
     assert set(MeasuredSurface.declared_keys()) == reading | {
         "isotropic",
         "method",

@@ -4,6 +4,7 @@
 use rule stage_template as surface with:
     input:
         raw=raw_file("surface"),
+        picture=raw_file("mask"),
     output:
         surface="{material}/surface.nc",
 

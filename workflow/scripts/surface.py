@@ -7,14 +7,14 @@ from brdfpipe.surfaces.texture_parameters import with_parameters
 
 def main(input, output, params):
     """A measured surface: read, checked and levelled, with its texture parameters."""
-    raw = Path(input["raw"])
-    surface = with_parameters(ingest(raw, params["spec"]))
+    inputs = {name: Path(path) for name, path in input.items()}
+    surface = with_parameters(ingest(inputs["raw"], params["spec"], inputs.get("picture")))
     store.save_dataset(
         surface,
         output["surface"],
         stage="surface",
         material=params["material"],
-        inputs={"raw": raw},
+        inputs=inputs,
         parameters=params["spec"],
     )
 

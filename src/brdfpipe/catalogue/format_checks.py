@@ -27,8 +27,9 @@ def check_formats(material: Material) -> None:
     from brdfpipe.spectra.formats.registry import FORMATS as SPECTRUM_FORMATS
     from brdfpipe.surfaces.reading import FORMATS as SURFACE_FORMATS
     from brdfpipe.surfaces.reading import check_readable
+    from brdfpipe.surfaces.selection import PICTURES
 
-    suffixes = {"spectrum": extensions(SPECTRUM_FORMATS), "index": tuple(index.READERS)}
+    suffixes = {"spectrum": extensions(SPECTRUM_FORMATS), "index": tuple(index.READERS), "mask": PICTURES}
     surface_suffixes = extensions(SURFACE_FORMATS)
     content = material.content
     for part, key, _ in raw_files(content):

@@ -33,7 +33,7 @@ class Material:
     folder: Path
     content: Mapping[str, Any]
     files: Mapping[str, Path]
-    """Part of the description (surface, index, spectrum, back_surface, interior; surface-2 … for further scans; rig) → raw file."""
+    """Part of the description (surface, mask, index, spectrum, back_surface, interior; surface-2 … for further scans; rig) → raw file."""
     scene: Scene
     """What its results are for."""
 
@@ -102,6 +102,7 @@ def raw_files(content: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
     slab = content.get("slab", {})
     holders = [(part, part, content.get(part)) for part in FILE_PARTS]
     holders += [("back_surface", "slab.back", slab.get("back"))]
+    holders += [("mask", "surface.mask", content.get("surface", {}).get("mask"))]
     holders += [("interior", f"slab.{key}", slab.get(key)) for key in INTERIOR]
     for part, key, holder in holders:
         if isinstance(holder, Mapping) and "file" in holder:

@@ -96,6 +96,48 @@ class Acceptance(Keys):
     )
 
 
+PixelsOrLength = Annotated[str, OneOf(("um", "pixels"))]
+Limits = Annotated[tuple[Annotated[float, Field(ge=0)], Annotated[float, Field(ge=0)]], Strict(False)]
+Corner = Annotated[tuple[float, float], Strict(False)]
+
+
+def _position_unit() -> Any:
+    return key("unit of the positions: um (or µm), or pixels, counted in points of the file", default_words="um")
+
+
+class Region(Keys):
+    """The rectangle of a scan that counts."""
+
+    x: Limits = key("from and to, from the left edge", example=[0, 500])
+    y: Limits = key("from and to, from the lower edge of a map", example=[0, 500])
+    unit: PixelsOrLength = _position_unit()
+
+
+class MaskFile(Keys):
+    """A picture of the points of a scan that do not count."""
+
+    file: str = _file(
+        "a picture of as many points as the map, upper edge first, whose dark points are left out", example="mask.png"
+    )
+
+
+class MaskPolygons(Keys):
+    """Polygons whose inside does not count."""
+
+    polygons: list[Annotated[list[Corner], Field(min_length=3, max_length=10_000, description="corners [x, y]")]] = key(
+        "polygons, each a list of corners [x, y] from the lower left, whose inside is left out",
+        required=True,
+        default_words="instead of `file`",
+        min_length=1,
+        max_length=1000,
+        example=[[[0, 0], [50, 0], [0, 50]]],
+    )
+    unit: PixelsOrLength = _position_unit()
+
+
+Mask = Annotated[MaskFile | MaskPolygons, Choice(by_key("file", "polygons"), (("file", "polygons"),))]
+
+
 class Scan(Keys):
     """A further scan of the same surface."""
 
@@ -155,6 +197,17 @@ class MeasuredSurface(Keys):
         "a height that marks missing ones, as the file writes it (in µm where the file states its unit)",
         default_words="NaN, empty fields, and what the format states",
         example=-25400,
+        stage="surface",
+    )
+    region: Region = key("the rectangle of the scan that counts {x, y, unit}", stage="surface")
+    mask: Mask = key(
+        "places of the map that do not count: a picture {file} or {polygons, unit}",
+        details="Positions are those of the file, before `region`.",
+        stage="surface",
+    )
+    outliers: Annotated[str, OneOf(("report", "remove"))] = key(
+        "spikes, single heights far from all their neighbours: report them, or remove them, which makes them missing",
+        default_words="`report`",
         stage="surface",
     )
     channel: str = key(

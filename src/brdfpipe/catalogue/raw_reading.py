@@ -34,12 +34,12 @@ def describe_files(catalogue: Catalogue, material: Material) -> list[str]:
     lines: list[str] = []
     scans: list[xr.Dataset] = []
     for part, path in material.files.items():
-        if part == "rig":
+        if part in ("rig", "mask"):  # frames; a picture is read with its map
             continue
         name, _, number = part.partition("-")
         stage = STAGES[_READ_BY.get(name, "scan" if number else name)]
         spec = stage.parameters(Subject(material, catalogue.config), {"scan": number} if number else {})
-        dataset = _read(name, path, spec)
+        dataset = _read(name, path, spec, None if number else material.files.get("mask"))
         lines += _words(path, name, dataset)
         if name == "surface":
             scans.append(dataset)
@@ -48,7 +48,7 @@ def describe_files(catalogue: Catalogue, material: Material) -> list[str]:
     return lines
 
 
-def _read(part: str, path: Path, spec: dict[str, Any]) -> xr.Dataset:
+def _read(part: str, path: Path, spec: dict[str, Any], picture: Path | None) -> xr.Dataset:
     """The dataset of a file, by the function of the stage that reads it."""
     from brdfpipe.exchange.reading import read as read_table
     from brdfpipe.flakes.reading import ingest as read_colours
@@ -68,7 +68,7 @@ def _read(part: str, path: Path, spec: dict[str, Any]) -> xr.Dataset:
     if part == "multiangle":
         return read_colours(spec, path)
     try:
-        return read_surface(path, spec)
+        return read_surface(path, spec, picture if part == "surface" else None)
     except InputError as refusal:
         if part != "back_surface":
             raise

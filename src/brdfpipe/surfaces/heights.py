@@ -45,6 +45,7 @@ class Heights:
     history : corrections, in words
     warnings : doubts; each says what to do
     unit : of the heights in the file [um], for formats whose unit a key may state
+    left_out : of the shape of ``height``, true where a mask leaves heights out, which are NaN too; None without a mask
     """
 
     height: NDArray[np.floating]
@@ -53,6 +54,7 @@ class Heights:
     history: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
     unit: float = 1.0
+    left_out: NDArray[np.bool_] | None = None
 
 
 @dataclass(frozen=True)
@@ -110,7 +112,11 @@ def band(attrs: Mapping[str, Any]) -> str:
 
 
 def examine(
-    surface: xr.Dataset, file: Path, keys: Collection[str] = (*UNSTATED, "layout"), unit: float = 1.0
+    surface: xr.Dataset,
+    file: Path,
+    keys: Collection[str] = (*UNSTATED, "layout"),
+    unit: float = 1.0,
+    left_out: NDArray[np.bool_] | None = None,
 ) -> xr.Dataset:
     """Refuse implausible heights; warn about doubtful ones.
 
@@ -120,6 +126,7 @@ def examine(
     file : raw file, for messages
     keys : keys of ``surface`` that apply to the format of the file: messages suggest no other
     unit : of the heights in the file [um], for messages
+    left_out : where a mask leaves heights out, which then do not count as missing from the measurement
 
     Returns
     -------
@@ -137,7 +144,7 @@ def examine(
     pitches = [surface.attrs[f"pitch_{dim}"] for dim in surface.height.dims]
     _check_grid(height.shape, pitches, file, keys)
     missing = np.isnan(height)
-    fraction = float(missing.mean())
+    fraction = float(missing.mean() if left_out is None else missing[~left_out].mean())
     if fraction > MISSING_MAX:
         accepted = "at most 50 %; measure again, or export a part with fewer gaps"
         raise InputError(file, "more than half of the heights are missing", found=f"{fraction:.1%}", accepted=accepted)

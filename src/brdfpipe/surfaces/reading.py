@@ -8,13 +8,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import xarray as xr
 
 from brdfpipe.errors import BrdfpipeError, InputError
 from brdfpipe.file_formats import format_of
-from brdfpipe.surfaces import arrays, instruments, placeholders, text, x3p
+from brdfpipe.surfaces import arrays, instruments, placeholders, selection, spikes, text, x3p
 from brdfpipe.surfaces.filtering import high_pass, low_pass
-from brdfpipe.surfaces.heights import SurfaceFormat, examine, surface_dataset
+from brdfpipe.surfaces.heights import Heights, SurfaceFormat, examine, surface_dataset
 from brdfpipe.surfaces.levelling import FORMS, level
 
 FORMATS: dict[str, SurfaceFormat] = {
@@ -23,8 +24,23 @@ FORMATS: dict[str, SurfaceFormat] = {
 """Formats of surface files by name. To add one, write a module with ``FORMATS`` like :mod:`.x3p` and list it above."""
 
 
+OUTLIERS = ("report", "remove")
+"""What is done with spikes; the first one is the default."""
+
+_SPIKE_SHARE = 0.1
+"""Share of the mean square slope that spikes carry, from which on they are warned of."""
+
+
 def read_surface(
-    path: str | os.PathLike[str], format: str | None = None, *, missing: float | None = None, **options: Any
+    path: str | os.PathLike[str],
+    format: str | None = None,
+    *,
+    missing: float | None = None,
+    region: Mapping[str, Any] | None = None,
+    mask: Mapping[str, Any] | None = None,
+    picture: str | os.PathLike[str] | None = None,
+    outliers: str | None = None,
+    **options: Any,
 ) -> xr.Dataset:
     """Read a measured surface and check that its heights are plausible.
 
@@ -33,6 +49,8 @@ def read_surface(
     path : the file
     format : a key of :data:`FORMATS`; by default from the extension
     missing : a height that marks missing ones, in the unit of the file's heights; in um where the file states that unit
+    region, mask, picture : the part that counts, see :mod:`brdfpipe.surfaces.selection`; positions are those of the file, before it is cropped
+    outliers : ``report`` spikes (the default) or ``remove`` them: they become missing
     **options : values that the file does not state. Text and NumPy: ``unit`` of the heights and ``lateral_unit`` (nm, um,
         mm, m), ``pitch`` (number or pair [x, y], in ``lateral_unit``); text only: ``layout`` (``line``, ``grid``,
         ``xyz``); instruments' formats: ``channel``, the name of the height channel if there are several; ``nms``:
@@ -66,10 +84,43 @@ def read_surface(
     if missing is not None:
         height, note = placeholders.as_missing(heights.height, missing, heights.unit)
         heights = replace(heights, height=height, history=(*heights.history, note))
-    return examine(surface_dataset(heights), path, chosen.options, heights.unit)
+    if mask is not None:
+        heights = selection.masked(heights, mask, None if picture is None else Path(picture), path)
+    if region is not None:
+        heights = selection.cropped(heights, region, path)
+    heights = _without_spikes(heights, outliers or OUTLIERS[0], path)
+    return examine(surface_dataset(heights), path, chosen.options, heights.unit, heights.left_out)
 
 
-def ingest(path: str | os.PathLike[str], spec: Mapping[str, Any]) -> xr.Dataset:
+def _without_spikes(heights: Heights, outliers: str, path: Path) -> Heights:
+    """The heights, with spikes reported or removed."""
+    if outliers not in OUTLIERS:
+        found, accepted = repr(outliers)[:40], " or ".join(OUTLIERS)
+        raise InputError(path, "unknown treatment of spikes", found=found, accepted=accepted, key="surface.outliers")
+    found_spikes = spikes.find(heights.height)
+    count = int(np.count_nonzero(found_spikes))
+    if not count:
+        return heights
+    cleared = np.where(found_spikes, heights.height.dtype.type(np.nan), heights.height)
+    share = 1 - min(1.0, spikes.mean_square_step(cleared) / spikes.mean_square_step(heights.height))
+    words = f"{count} heights ({count / found_spikes.size:.2g} of all) stand out of their neighbours like spikes"
+    if outliers == "remove":
+        note = (
+            f"{words} and were taken as missing, as surface.outliers says; the mean square slope fell by {share:.1%}."
+        )
+        return replace(heights, height=cleared, history=(*heights.history, note))
+    if share < _SPIKE_SHARE:
+        note = f"{words}; they carry {share:.1%} of the mean square slope."
+        return replace(heights, history=(*heights.history, note))
+    doubt = (
+        f"{words}, and carry {share:.0%} of the mean square slope. Measure again, or set `surface.outliers: remove`."
+    )
+    return replace(heights, warnings=(*heights.warnings, doubt))
+
+
+def ingest(
+    path: str | os.PathLike[str], spec: Mapping[str, Any], picture: str | os.PathLike[str] | None = None
+) -> xr.Dataset:
     """The stage ``surface``: read, check, level and filter a file according to a material's ``surface`` section.
 
     Parameters
@@ -78,6 +129,7 @@ def ingest(path: str | os.PathLike[str], spec: Mapping[str, Any]) -> xr.Dataset:
     spec : ``format`` and the reading options of :func:`read_surface`; ``form`` to level by (default plane); ``lambda_s`` and
         ``lambda_c``, cutoffs [um] of a low-pass and a high-pass filter (default none); ``azimuth`` [degree] of a line profile;
         ``repeat``, whether it is of the same place as the first scan; ``file`` has no effect
+    picture : the file that ``spec["mask"]`` names, if it does
 
     Returns
     -------
@@ -98,7 +150,7 @@ def ingest(path: str | os.PathLike[str], spec: Mapping[str, Any]) -> xr.Dataset:
     }
     values = {key: options.pop(key, None) for key in steps}
     values["form"] = values["form"] or FORMS[0]
-    surface = read_surface(path, **options)
+    surface = read_surface(path, picture=picture, **options)
     for key, step in steps.items():
         try:
             surface = surface if values[key] is None else step(surface, values[key])
