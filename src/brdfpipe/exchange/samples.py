@@ -18,6 +18,7 @@ from brdfpipe import store, vocabulary
 from brdfpipe.bsdf.grids import specular_angles
 from brdfpipe.bsdf.nonspectral import nonspectral
 from brdfpipe.bsdf.registry import representation
+from brdfpipe.bsdf.sampling import Distribution
 from brdfpipe.bsdf.source_changes import SourceChanges, uncertain
 from brdfpipe.bsdf.table_error import error_of, fresh_pairs
 from brdfpipe.errors import InputError
@@ -42,6 +43,8 @@ FORMAT = Format(
 _ANGLES = ["theta_i_deg", "phi_i_deg", "theta_o_deg", "phi_o_deg"]
 _WAVELENGTH, _VALUE, _U = "wavelength_nm", "bsdf_per_sr", "bsdf_u_per_sr"
 _AZIMUTHS_WITH_LAY, _HORIZON, _AROUND = 24, 89.5, 36
+_SHARED_TURN = 30.0
+"""Azimuths of incidence within which the distribution of the first one, turned with it, places the samples [degree]: a distribution takes longer than all else."""
 _FEWEST_VIEWS, _MOST_INCIDENCES, _MOST_ROWS = 8, 4000, 20_000_000
 _GRID_SHARE = 0.5
 """Of a grid that has samples; with fewer they are scattered."""
@@ -105,15 +108,19 @@ def _directions(bsdf: xr.Dataset, incidences: int, views: int) -> tuple[Array, A
     azimuths = np.zeros(1) if model.isotropic else np.arange(0.0, 360.0, 360 / _AZIMUTHS_WITH_LAY)
     ring = np.arange(0.0, 360.0, 360 / _AROUND)
     found: list[NDArray[np.float64]] = []
+    distributions: dict[int, Distribution] = {}
     for phi_i in azimuths:
-        for theta_i in np.linspace(0.0, 85.0, incidences):
-            drawn = model.distribution(float(theta_i), float(phi_i), None).draw(views // 2, generator)
+        for number, theta_i in enumerate(np.linspace(0.0, 85.0, incidences)):
+            turn = phi_i - phi_i // _SHARED_TURN * _SHARED_TURN
+            if turn == 0:
+                distributions[number] = model.distribution(float(theta_i), float(phi_i), None)
+            drawn = distributions[number].draw(views // 2, generator)
             kept = ~drawn.is_specular & (drawn.theta < _HORIZON)
             polar, around = generator.random((2, views - views // 2))
             theta_o = np.concatenate(
                 [drawn.theta[kept], np.degrees(np.arcsin(np.sqrt(polar))), [theta_i], np.full(ring.size, _HORIZON)]
             )
-            phi_o = np.concatenate([drawn.phi[kept], 360 * around, [phi_i + 180], ring]) % 360
+            phi_o = np.concatenate([drawn.phi[kept] + turn, 360 * around, [phi_i + 180], ring]) % 360
             theta_o = np.minimum(theta_o, _HORIZON)
             found.append(np.stack([np.full_like(theta_o, theta_i), np.full_like(theta_o, phi_i), theta_o, phi_o]))
     theta_i, phi_i, theta_o, phi_o = np.round(np.concatenate(found, axis=1), 3)
