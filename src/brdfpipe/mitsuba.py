@@ -73,7 +73,7 @@ def material(
     write = rgl.write_spectral if spectral else rgl.write
     record = write(seen, path, scale=scale, **options)
     # Of the whole BSDF, which may let light pass.
-    record["left_out"] = records.left_out(bsdf, format, 4 if spectral else 3)
+    record["left_out"] = records.left_out(bsdf, format, "spectrum" if spectral else "rgb")
     if mirror:
         record["left_out"].pop("specular", None)
         record["values_are"] = "twice the BRDF, for a blend of half of it and half of a mirror"

@@ -58,6 +58,25 @@ def test_files_with_a_spectrum_have_the_given_wavelengths(tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize(
+    ("name", "options", "lost"),
+    [
+        ("a.ddr", {"wavelengths": [450, 550, 650]}, None),
+        ("a.ddr", {"colour": "rgb"}, "linear sRGB (IEC 61966-2-1) under D65"),
+        ("a.ddr", {}, "weighted with V(lambda) and D65"),
+        ("a.zemax.bsdf", {"colour": True}, "X, Y and Z under D65"),
+        ("a.mbsdf", {}, "linear sRGB (IEC 61966-2-1) under D65"),
+        ("a.samples.csv", {"wavelengths": [450, 550, 650], "incidences": 4, "views": 60}, None),
+    ],
+)
+def test_what_is_left_of_the_spectrum_is_said(tmp_path: Path, name: str, options: dict, lost: str | None) -> None:
+    """Three wavelengths are a spectrum, and three values of a colour are not."""
+    coloured = samples.beckmann_bsdf(0.4, reflectance=np.linspace(0.05, 0.6, 85))
+    coarse = {} if name.endswith(".csv") else {"tolerance": 0.2, "albedo_tolerance": 0.05}
+    record = convert(coloured, tmp_path / name, **coarse, **options)
+    assert record["left_out"].get("spectrum") == (None if lost is None else f"the spectrum: the values are {lost}")
+
+
+@pytest.mark.parametrize(
     ("name", "wavelengths", "words"),
     [
         ("a.zemax.bsdf", [450, 550], "zemax: the format has no wavelengths; accepted: .*integra"),

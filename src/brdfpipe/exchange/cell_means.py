@@ -14,6 +14,7 @@ from brdfpipe.bsdf.registry import representation
 from brdfpipe.bsdf.table_error import Evaluate, TableError, error_of, fresh_pairs
 from brdfpipe.bsdf.tabulation import values_on_nodes
 from brdfpipe.exchange.gridded import Channels
+from brdfpipe.exchange.records import Content
 from brdfpipe.geometry import Array
 from brdfpipe.spectra import colorimetry
 
@@ -32,6 +33,7 @@ class CellTable:
     error: TableError
     reading: str
     """What the program does that reads the cells, ``interpolated linearly``"""
+    content: Content = "luminous"
     within_tolerance: bool | None = None
     """None of a format whose cells are not chosen"""
 
@@ -39,10 +41,6 @@ class CellTable:
     def size(self) -> int:
         """Number of values of all channels."""
         return self.values.size
-
-    @property
-    def channel_count(self) -> int:
-        return self.values.shape[-1]
 
 
 def centres(edges: Array) -> Array:

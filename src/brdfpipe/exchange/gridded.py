@@ -21,6 +21,7 @@ from brdfpipe.bsdf.one_side import Side, one_side
 from brdfpipe.bsdf.registry import representation
 from brdfpipe.bsdf.table_error import TableError, rules
 from brdfpipe.bsdf.tabulation import full_circle, values_on_nodes
+from brdfpipe.exchange.records import Content
 from brdfpipe.exchange.registry import ExchangeError
 from brdfpipe.geometry import Array
 from brdfpipe.spectra import colorimetry
@@ -90,6 +91,12 @@ class Gridded:
     within_tolerance: bool
 
     reading = "interpolated linearly"
+
+    @property
+    def content(self) -> Content:
+        if self.channels.wavelength is not None:
+            return "spectrum"
+        return {"X": "xyz", "R": "rgb"}.get(self.channels.names[0], "luminous")  # type: ignore[return-value]
 
     @property
     def channel_count(self) -> int:

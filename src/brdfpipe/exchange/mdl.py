@@ -86,7 +86,9 @@ def write(
     error = _larger(_error(seen, of_side) for seen, of_side in zip(sides.values(), read_back, strict=True))
     within = error.percentile_95 <= tolerance and error.albedo <= albedo_tolerance
     reading = "averaged over both orders of the directions and interpolated linearly between the centres of its cells"
-    record = records.record(cell_means.CellTable(bsdf, values, error, reading, within), FORMAT)
+    record = records.record(
+        cell_means.CellTable(bsdf, values, error, reading, "rgb" if colour else "luminous", within), FORMAT
+    )
     record["left_out"] |= gamut
     with store.atomic_path(path) as temporary, temporary.open("wb") as file:
         file.write(_MAGIC)

@@ -48,7 +48,7 @@ def write(bsdf: xr.Dataset, path: Path) -> records.Record:
     values, gamut = cell_means.displayable(_values(gridded.linear_rgb(bsdf)))
     error = cell_means.table_error(bsdf, lambda *at: lookup(cell_means.luminous(values), *at[:4]))
     reading = "looked up at the node below without interpolation"
-    record = records.record(cell_means.CellTable(bsdf, values, error, reading), FORMAT)
+    record = records.record(cell_means.CellTable(bsdf, values, error, reading, "rgb"), FORMAT)
     between = cell_means.table_error(bsdf, table_nodes.interpolation(*_around(cell_means.luminous(values))))
     record["error"] |= {"interpolated": {"percentile_95": between.percentile_95, "albedo": between.albedo}}
     record["left_out"] |= gamut

@@ -67,7 +67,7 @@ def write(bsdf: xr.Dataset, path: Path, *, largest_error: float) -> records.Reco
         "by_incidence": "parameters of single incidences, and their error there; the error of the whole list is that of parameters interpolated linearly "
         "in the cosine of the incidence",
         "fits": fits,
-        "left_out": records.left_out(bsdf, FORMAT, channels=1),
+        "left_out": records.left_out(bsdf, FORMAT, "luminous"),
     }
     store.write_text(path, json.dumps(document, indent=1, ensure_ascii=False) + "\n")
     return document

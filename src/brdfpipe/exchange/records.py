@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Protocol
+from typing import Any, Literal, Protocol
 
 import numpy as np
 import xarray as xr
@@ -13,6 +13,9 @@ from brdfpipe.bsdf.registry import representation
 from brdfpipe.bsdf.source_changes import uncertain
 from brdfpipe.bsdf.table_error import TableError
 from brdfpipe.exchange.registry import Format
+
+Content = Literal["luminous", "xyz", "rgb", "spectrum"]
+"""What the values are: weighted with V(λ) and D65; X, Y and Z, or linear sRGB, under D65; or by wavelength."""
 
 Record = dict[str, Any]
 """Plain values for JSON."""
@@ -40,7 +43,7 @@ class Exported(Protocol):
     @property
     def size(self) -> int: ...
     @property
-    def channel_count(self) -> int: ...
+    def content(self) -> Content: ...
 
 
 def record(table: Exported, format: Format, whole: xr.Dataset | None = None) -> Record:
@@ -57,7 +60,7 @@ def record(table: Exported, format: Format, whole: xr.Dataset | None = None) -> 
             "reading": table.reading,
             **({} if table.within_tolerance is None else {"within_tolerance": table.within_tolerance}),
         },
-        "left_out": left_out(bsdf, format, table.channel_count),
+        "left_out": left_out(bsdf, format, table.content),
     }
 
 
@@ -75,6 +78,12 @@ def comment(bsdf: xr.Dataset) -> str:
         f"brdfpipe: {bsdf.attrs.get('material', 'unnamed')}, digest of the BSDF {bsdf.attrs.get('digest', 'unknown')}"
     )
 
+
+_CONTENTS: Mapping[Content, str] = {
+    "luminous": "weighted with V(lambda) and D65",
+    "xyz": "X, Y and Z under D65",
+    "rgb": "linear sRGB (IEC 61966-2-1) under D65",
+}
 
 VALUES = {
     "reflection": "BRDF in sr-1, not multiplied by the cosine",
@@ -132,7 +141,7 @@ def _stated(error: Mapping[str, Any], refused: str) -> str:
     return f"error {', '.join(parts)}{end}" + (f"; not written: {refused}" if refused else "")
 
 
-def left_out(bsdf: xr.Dataset, format: Format, channels: int) -> dict[str, str]:
+def left_out(bsdf: xr.Dataset, format: Format, content: Content) -> dict[str, str]:
     """What the BSDF has and a file of the format does not hold: property → sentence."""
     model, lost = representation(bsdf), dict[str, str]()
     if model.transmits and not model.is_slab:
@@ -141,12 +150,8 @@ def left_out(bsdf: xr.Dataset, format: Format, channels: int) -> dict[str, str]:
         lost["transmission"] = "the light that passes to the other side"
     if not model.isotropic and "lay" not in format.carries:
         lost["lay"] = "the dependence on the azimuth of incidence: the values are the mean over it"
-    if "wavelength" in bsdf.coords and ("spectrum" not in format.carries or channels <= 3):
-        lost["spectrum"] = (
-            "the spectrum: the values are X, Y, Z, or linear sRGB (IEC 61966-2-1), under D65"
-            if channels == 3
-            else "the spectrum: the values are weighted with V(lambda) and D65"
-        )
+    if "wavelength" in bsdf.coords and content != "spectrum":
+        lost["spectrum"] = f"the spectrum: the values are {_CONTENTS[content]}"
     if "specular" not in format.carries and (text := specular_shares(model)):
         lost["specular"] = text
     if (uncertain(bsdf) or model.states_uncertainty) and "uncertainty" not in format.carries:

@@ -243,7 +243,7 @@ def _write(
     written = {name: field if field.dtype == np.uint8 else field.astype(np.float32) for name, field in fields.items()}
     tensor_file.write(path, written)
     size = int(np.prod(lead)) * side * side * count
-    record = records.record(_Written(bsdf, error, met, size, 3 if wavelength is None else max(count, 4)), FORMAT)
+    record = records.record(_Written(bsdf, error, met, size, "rgb" if wavelength is None else "spectrum"), FORMAT)
     record["left_out"] |= _outside_gamut(bsdf, channels) if wavelength is None else {}
     return record
 
@@ -264,7 +264,7 @@ class _Written(NamedTuple):
     error: TableError
     within_tolerance: bool
     size: int
-    channel_count: int
+    content: records.Content
     reading: str = "evaluated as Mitsuba does"
 
 

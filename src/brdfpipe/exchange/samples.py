@@ -84,9 +84,11 @@ def write(
         source, values = seen, np.maximum(representation(seen).evaluate(*at, None), 0.0)
     u = _uncertainty(source, at)
     reading = "interpolated by triangles between the samples of an incidence"
-    record = records.record(cell_means.CellTable(bsdf, values, error, reading), FORMAT, bsdf)
-    if source is not reduced:
-        record["left_out"].pop("spectrum", None)
+    record = records.record(
+        cell_means.CellTable(bsdf, values, error, reading, "luminous" if source is reduced else "spectrum"),
+        FORMAT,
+        bsdf,
+    )
     if u is None and uncertain(bsdf):
         record["left_out"]["uncertainty"] = "standard uncertainties"
     columns: dict[str, Array] = {

@@ -136,7 +136,7 @@ class _Written:
     error: TableError
     within_tolerance: bool
     size: int
-    channel_count: int = 1
+    content: records.Content = "luminous"
     reading: str = "one value for each cell"
 
 

@@ -36,7 +36,7 @@ class Fitted:
     def record(self, format: Format, form: str) -> records.Record:
         """Material, digest, parameters, error and losses."""
         found = self.fit
-        left_out = records.left_out(self.bsdf, format, channels=3)
+        left_out = records.left_out(self.bsdf, format, "rgb")
         if not self.is_smooth and (shares := records.specular_shares(representation(self.bsdf))):
             left_out["specular"] = shares
         return {

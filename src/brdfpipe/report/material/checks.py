@@ -10,7 +10,7 @@ import xarray as xr
 
 from brdfpipe.appearance.verdicts import check_verdicts, json_object
 from brdfpipe.bsdf.registry import representation
-from brdfpipe.exchange.records import left_out
+from brdfpipe.exchange.records import Content, left_out
 from brdfpipe.exchange.registry import FORMATS, PROPERTIES, Format
 from brdfpipe.report.cards import Section, Table
 from brdfpipe.report.formatting import quantity
@@ -62,8 +62,8 @@ def exports_table(datasets: Mapping[str, xr.Dataset], name: str, formats: Collec
 def _left_out(bsdf: xr.Dataset, format: Format) -> str:
     """What the BSDF has and files of the format, with its default options, do not hold."""
     has_spectrum = "spectrum" in format.carries and not format.spectral
-    # More than three channels are a spectrum.
-    return "; ".join(PROPERTIES[name] for name in left_out(bsdf, format, channels=4 if has_spectrum else 1))
+    content: Content = "spectrum" if has_spectrum else "luminous"
+    return "; ".join(PROPERTIES[name] for name in left_out(bsdf, format, content))
 
 
 def provenance(stage: str, dataset: xr.Dataset) -> dict[str, Any]:
