@@ -25,6 +25,8 @@ MATERIALS = {
     "slab: {thickness: 2, absorption: {file: a.txt}, back: {distribution: beckmann, slope_rms: 0.2}}\n",
     "patent": "surface: {distribution: beckmann, slope_rms: 0.6}\nindex: ABS\nmodel: {recipe: crf}\n" + COLOUR,
     "polished": "surface: {distribution: flat}\nindex: 1.5\n",
+    "satin": "surface: {distribution: measured-gloss}\nindex: 1.5\nmeasured: {gloss: {20: 44, 60: 79, 85: 84}}\n"
+    + COLOUR,
     "steel": "surface: {distribution: ggx, a: 0.15}\nindex: {n: 2.9, k: 3.1}\n",
 }
 
@@ -70,6 +72,21 @@ def _brushed() -> np.ndarray:
 
 def opened(results: Path, material: str, stage: str) -> xr.Dataset:
     return store.open_dataset(results / material / f"{stage}.nc")
+
+
+def test_a_finish_known_by_gloss_has_that_gloss_within_its_uncertainty(results: Path) -> None:
+    facets, bsdf, readings = (opened(results, "satin", stage) for stage in ("gloss_facets", "bsdf", "readings"))
+    assert facets.attrs["kind"] == "facets"
+    assert float(facets["tail"]) > 0.7
+    assert "facets" in bsdf["uncertainty_source"].values
+    # The readings are those of a GGX of a = 0.01 but for half a unit; two unknowns fit three of them.
+    assert np.abs(readings["z"]).max() < 1
+    assert json.loads(readings.attrs["fitted"]) == ["gloss 20°", "gloss 60°", "gloss 85°"]
+    computed = opened(results, "satin", "appearance")
+    assert 0.1 < float(computed["gloss_u_source"].sel(source="facets", gloss_angle=60)) < 2
+    page = (results / "satin" / "report.html").read_text()
+    assert "gloss readings + spectrum" in page
+    assert "known by its gloss alone" in page
 
 
 def test_a_polished_material_has_the_gloss_of_its_reflectance(results: Path) -> None:

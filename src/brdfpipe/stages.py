@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from brdfpipe.catalogue.calibration_keys import EmulatedCalibration
 from brdfpipe.catalogue.material import ROUTES
 from brdfpipe.catalogue.material_keys import (
+    MEASURED_GLOSS,
     BeckmannSurface,
     EmulatedRig,
     FlatSurface,
@@ -81,7 +82,8 @@ class Subject:
     def planned(self) -> bool:
         """Whether the model is the cheapest that the scene allows; keys of ``model`` decide themselves."""
         content = self.owner.content
-        opaque_surface = "slab" not in content and content.get("surface", {}).get("distribution") != "flat"
+        unplanned = "flat", MEASURED_GLOSS
+        opaque_surface = "slab" not in content and content.get("surface", {}).get("distribution") not in unplanned
         known = "surface" in content and "index" in content and opaque_surface and not content.get("model")
         return self.scene is not None and self.scene.plans and self.route == "predicted" and known
 
@@ -216,6 +218,13 @@ _KNOWN_ROUGHNESS = Condition(
 )
 
 
+_KNOWN_BY_GLOSS = Condition(
+    f"`surface.distribution: {MEASURED_GLOSS}`",
+    lambda subject: subject.owner.content.get("surface", {}).get("distribution") == MEASURED_GLOSS,
+)
+_OTHER_FINISH = Condition("a finish not known by gloss", lambda subject: not _KNOWN_BY_GLOSS.holds(subject))
+
+
 def _face_optics(subject: Subject) -> str:
     """Optics of the faces of a clear body: waves, where their spectrum is known, have Smith's masking alone."""
     default = "auto" if _masking(subject) == SMITH_MASKINGS[0] else "facets"
@@ -255,6 +264,8 @@ def _multiple_scattering(subject: Subject) -> str:
     modes = RECIPES.get(model.get("recipe", ""), MODEL_DEFAULTS) | model
     allowed = allows_several_reflections(_masking(subject), modes["diffuse"]) and optics_of(model) != "wave"
     named = str(modes["multiple_scattering"])
+    # Gloss is a continuous function of the slopes only with all light that facets reflect.
+    named = "directional" if named == "auto" and allowed and _KNOWN_BY_GLOSS.holds(subject) else named
     return "none" if named == "auto" and not allowed else named
 
 
@@ -438,6 +449,18 @@ def _appearance(subject: Subject) -> dict[str, Any]:
     return settings
 
 
+def _gloss_readings(subject: Subject, wildcards: Wildcards) -> dict[str, Any]:
+    measured = subject.section("measured")
+    stated = {"gloss_u": u} if (u := measured["uncertainty"].get("gloss")) is not None else {}
+    return {"gloss": measured["gloss"], "slopes": subject.section("surface")["slopes"]} | stated
+
+
+def _fitted_readings(subject: Subject, wildcards: Wildcards) -> dict[str, Any]:
+    """The readings that the BSDF was fitted to."""
+    predicted = subject.route == "predicted" and _KNOWN_BY_GLOSS.holds(subject)
+    return {"fitted": [f"gloss {angle}°" for angle in subject.section("measured")["gloss"]]} if predicted else {}
+
+
 def _interior(subject: Subject, wildcards: Wildcards) -> dict[str, Any]:
     slab = {key: value for key, value in subject.section("slab").items() if key != "back"}
     return ({} if "absorption" in slab else {"internal_transmittance": 1}) | slab
@@ -537,9 +560,19 @@ _STAGES = (
     Stage(
         "facets",
         "the slope density of the facets",
-        when=_has("surface"),
+        when=_has("surface") & _OTHER_FINISH,
         keys=_block("surface", _SLOPE_KEYS),
         of_prediction=True,
+    ),
+    Stage(
+        "gloss_facets",
+        "the slope density of a finish that is known by its gloss",
+        when=_KNOWN_BY_GLOSS,
+        keys=StageKeys(("measured.gloss", "measured.uncertainty.gloss", "surface.slopes"), (), _gloss_readings),
+        kind="facets",
+        reported=False,
+        of_prediction=True,
+        stands_for="facets",
     ),
     Stage(
         "psd",
@@ -822,7 +855,7 @@ _STAGES = (
         "readings",
         "readings of instruments beside what the BSDF predicts of them",
         when=_has("measured") & _asked("comparison"),
-        keys=_keys("measured"),
+        keys=_keys("measured") | StageKeys(("surface.distribution",), (), _fitted_readings),
     ),
     Stage(
         "preview",

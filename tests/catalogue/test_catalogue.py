@@ -309,6 +309,7 @@ def test_the_keys_offer_what_the_model_has() -> None:
 
 
 def test_the_keys_offer_the_words_of_their_stages() -> None:
+    from brdfpipe.appearance.finish_from_gloss import TAILS
     from brdfpipe.bsdf import flake
     from brdfpipe.bsdf.measured import smoothing
     from brdfpipe.facets import line_profiles
@@ -327,6 +328,7 @@ def test_the_keys_offer_the_words_of_their_stages() -> None:
         (material_keys.MultiangleFile, "form", FLAKE_FORMS),
         (material_keys.MultiangleFile, "model", flake.MODELS),
         (material_keys.Smoothing, "mode", smoothing.MODES),
+        (material_keys.GlossSurface, "slopes", TAILS),
     ):
         assert tuple(reading.declared(model, [key]).choices) == tuple(words), key
     assert {case_folded(unit) for unit in units.UNITS} == set(material_keys.UNITS)
@@ -629,6 +631,19 @@ def test_a_wrong_geometry_in_the_description_is_found_by_the_check(tmp_path: Pat
         ("measured: {gloss: {60: many}}", r"measured\.gloss\.60: not an accepted value; found 'many'"),
         ("measured: {gloss: {45: 10}}", r"measured\.gloss: unknown key '45'.*; accepted: 20, 60, 85"),
         ("measured: {gloss: {}}", "no gloss reading; accepted: at least one of `20`, `60`, `85`"),
+        (
+            "surface: {distribution: measured-gloss}\nindex: 1.5",
+            r"surface\.distribution: the gloss readings are missing",
+        ),
+        (
+            "surface: {distribution: measured-gloss}\nindex: 1.5\nmeasured: {gloss: {60: 1}}",
+            r"one gloss reading alone; found 'measured-gloss'; accepted: `measured\.gloss` at two or three",
+        ),
+        (
+            "surface: {distribution: measured-gloss}\nindex: 1.5\nmeasured: {gloss: {20: 1, 60: 1}}\nmodel: {optics: wave}",
+            "needs a roughness spectrum",
+        ),
+        ("surface: {distribution: measured-gloss, slopes: phong}\nindex: 1.5", r"surface\.slopes: .*found 'phong'"),
         ("measured: {instrument: x}", "no reading; accepted: at least one of `gloss`"),
         ("measured: {gloss: {60: 1}, uncertainty: {gloss: 0}}", "found 0; accepted: .* above 0"),
         ("measured: {gloss: {60: 1}, date: May}", r"measured\.date: not an accepted value"),
@@ -640,6 +655,32 @@ def test_a_wrong_reading_is_refused_by_its_key(tmp_path: Path, text: str, proble
     folder = write(tmp_path, "m", COLOUR + text)
     with pytest.raises(InputError, match=problem):
         catalogue.check_formats(catalogue.load_material(folder, catalogue.load_config()))
+
+
+@pytest.mark.parametrize("back", ["", ", back: {distribution: measured-gloss}"])
+def test_a_clear_body_is_not_known_by_its_gloss(tmp_path: Path, back: str) -> None:
+    front = "beckmann, slope_rms: 0.1" if back else "measured-gloss"
+    text = f"surface: {{distribution: {front}}}\nindex: 1.5\nslab: {{thickness: 2{back}}}\nmeasured: {{gloss: {{20: 1, 60: 1}}}}\n"
+    with pytest.raises(
+        InputError, match=r"a clear body has gloss from both faces|the back of a clear body has no gloss"
+    ):
+        catalogue.load_material(write(tmp_path, "m", text), catalogue.load_config())
+
+
+def test_a_finish_known_by_gloss_has_facets_of_its_own_and_all_reflections(tmp_path: Path) -> None:
+    write(
+        tmp_path,
+        "m",
+        FRONT.replace("flat", "measured-gloss")
+        + COLOUR
+        + "measured: {gloss: {20: 3, 60: 22.4}, uncertainty: {gloss: 2}}\n",
+    )
+    loaded = catalogue.load(tmp_path)
+    subject = Subject(loaded["m"], loaded.config)
+    assert (STAGES["facets"].jobs(subject), STAGES["gloss_facets"].jobs(subject)) == ([], [{}])
+    assert loaded.spec("m", "gloss_facets") == {"gloss": {"20": 3, "60": 22.4}, "gloss_u": 2, "slopes": "any"}
+    assert loaded.spec("m", "predicted")["multiple_scattering"] == "directional"
+    assert loaded.spec("m", "readings")["fitted"] == ["gloss 20°", "gloss 60°"]
 
 
 def test_a_reading_has_a_geometry_a_day_and_default_uncertainties(tmp_path: Path) -> None:
@@ -772,10 +813,11 @@ def test_a_new_material_asks_to_be_filled_in_and_each_alternative_in_its_comment
     text = path.read_text()
     for file in ("reflectance.txt", "surface.x3p", "surface-2.x3p", "profile.txt", "index.txt", "absorption.txt"):
         (path.parent / file).touch()
-    blocks = re.findall(r"(?m)^# (?:surface|index|spectrum|slab|model|exports):.*\n(?:#   .*\n)*", text)
-    assert len(blocks) == 17
+    blocks = re.findall(r"(?m)^# (?:surface|index|spectrum|slab|measured|model|exports):.*\n(?:#   .*\n)*", text)
+    assert len(blocks) == 19
     front = "surface: {distribution: flat}\nindex: PP\n"
-    rest = {"spectrum": "", "surface": COLOUR + "index: PP\n", "slab": front}
+    gloss = "measured: {gloss: {20: 3.1, 60: 22.4}}\n"
+    rest = {"spectrum": "", "surface": COLOUR + gloss + "index: PP\n", "slab": front}
     for block in blocks:
         key, plain = block[2:].partition(":")[0], re.sub(r"(?m)^# ", "", block)
         path.write_text(rest.get(key, COLOUR) + plain)

@@ -23,6 +23,13 @@ use rule stage_template as facets with:
         facets="{material}/facets.nc",
 
 
+use rule stage_template as gloss_facets with:
+    input:
+        **results_of("index", "spectrum"),
+    output:
+        facets="{material}/gloss_facets.nc",
+
+
 use rule stage_template as psd with:
     input:
         **results_of("surface", "scan"),

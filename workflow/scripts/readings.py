@@ -6,7 +6,7 @@ def main(input, output, params):
     """Readings of instruments beside what the BSDF predicts of them."""
     spec, bsdf = params["spec"], store.shared_dataset(input["bsdf"], "bsdf")
     readings = store.save_dataset(
-        compare_readings(bsdf, spec["measured"]),
+        compare_readings(bsdf, spec["measured"], spec.get("fitted", ())),
         output["readings"],
         stage="readings",
         material=params["material"],

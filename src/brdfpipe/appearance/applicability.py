@@ -13,7 +13,14 @@ import xarray as xr
 from brdfpipe import vocabulary
 from brdfpipe.appearance.colours import BLACK
 from brdfpipe.appearance.haze import WINDOWS
-from brdfpipe.appearance.origin import Datasets, has_finish, has_no_diffuse_base, is_metal, route
+from brdfpipe.appearance.origin import (
+    Datasets,
+    gloss_readings,
+    has_finish,
+    has_no_diffuse_base,
+    is_metal,
+    route,
+)
 
 HAZE_ANGLES = (20.0, 60.0)
 """Gloss geometries of ASTM D4039 [degree]."""
@@ -109,6 +116,11 @@ def _finish_limits(datasets: Datasets) -> Iterator[str]:
                 "Gloss and haze are not modelled. No surface finish was measured or assumed. The BRDF is perfectly diffuse. "
                 "Set `surface` in material.yaml to model gloss and haze."
             )
+    elif (readings := gloss_readings(datasets)) and route(datasets) == "predicted":
+        yield (
+            f"The surface finish is known by its gloss alone ({readings}). The angular figures are those of the mean of all slope densities from Beckmann's "
+            "to GGX with this gloss, and their uncertainties cover these. A lay, waviness and light that is scattered as waves are not known."
+        )
     elif "facets" in datasets and "surface" not in datasets and route(datasets) == "predicted":
         method = str(datasets["facets"].attrs.get("method", "")).strip()
         yield (

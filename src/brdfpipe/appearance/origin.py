@@ -53,8 +53,14 @@ def basis(datasets: Datasets) -> str:
         return f"a table ({datasets['bsdf'].attrs['file_format']})"
     if route(datasets) == "flake" and "multiangle" in datasets:
         return f"colours at {datasets['multiangle'].sizes['geometry']} geometries"
-    finish = "surface" if "surface" in datasets else "assumed finish" if "facets" in datasets else ""
+    assumed = "gloss readings" if gloss_readings(datasets) else "assumed finish"
+    finish = "surface" if "surface" in datasets else assumed if "facets" in datasets else ""
     return " + ".join(part for part in (finish, "spectrum" if "spectrum" in datasets else "") if part)
+
+
+def gloss_readings(datasets: Datasets) -> str:
+    """The readings that the slopes of the finish were found from, ``60° 22.4, 85° 48``; empty for other finishes."""
+    return str(datasets["facets"].attrs.get("gloss_readings", "")) if "facets" in datasets else ""
 
 
 def uncertainty_not_stated(datasets: Datasets) -> str:

@@ -76,6 +76,9 @@ surface: {{distribution: beckmann, slope_rms: 0.15}}
 # … with its correlation length, from which waves follow …
 surface: {{distribution: beckmann, slope_rms: 0.05, length: 5}}
 
+# … or one whose gloss was read (`measured.gloss` below) …
+surface: {{distribution: measured-gloss}}
+
 # … or a polished one.
 surface: {{distribution: flat}}
 

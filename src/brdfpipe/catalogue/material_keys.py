@@ -305,11 +305,17 @@ class MeasuredSurface(Keys):
 
 
 def _distribution() -> Any:
-    help = "instead of a file, an assumed finish: beckmann (Gaussian slopes, with slope_rms), ggx (with a) or flat (polished, with neither)"
+    help = (
+        "instead of a file, a finish without a scan; beckmann (Gaussian slopes, with slope_rms), ggx (with a), flat (polished, with neither), "
+        "or measured-gloss (slopes that have the gloss of `measured.gloss`)"
+    )
     return key(help, required=True, default_words="instead of `file`", stage="facets psd")
 
 
-Distribution = Annotated[str, OneOf(("beckmann", "ggx", "flat"))]
+MEASURED_GLOSS = "measured-gloss"
+"""The finish that is known by gloss readings."""
+
+Distribution = Annotated[str, OneOf(("beckmann", "ggx", "flat", MEASURED_GLOSS))]
 
 
 class GgxSurface(Keys):
@@ -331,6 +337,18 @@ class FlatSurface(Keys):
     """A polished surface."""
 
     distribution: Distribution = _distribution()
+
+
+class GlossSurface(Keys):
+    """A finish that is known by gloss readings."""
+
+    distribution: Distribution = _distribution()
+    slopes: Annotated[str, OneOf(("any", "beckmann", "ggx"))] = key(
+        "with measured-gloss: slopes from Beckmann's to GGX (any), or one of both",
+        default="any",
+        details="See [a finish known by gloss](#a-finish-known-by-gloss).",
+        stage="gloss_facets",
+    )
 
 
 class BeckmannSurface(Keys):
@@ -357,7 +375,10 @@ class BeckmannSurface(Keys):
     )
 
 
-AssumedSurface = Annotated[GgxSurface | FlatSurface | BeckmannSurface, Choice(by_word("distribution", "ggx", "flat"))]
+AssumedSurface = Annotated[
+    GgxSurface | FlatSurface | GlossSurface | BeckmannSurface,
+    Choice(by_word("distribution", "ggx", "flat", MEASURED_GLOSS)),
+]
 Surface = Annotated[
     MeasuredSurface | AssumedSurface, Choice(by_key("file", "distribution"), (("file", "distribution"),))
 ]
@@ -988,6 +1009,25 @@ class Material(Keys):
             from brdfpipe.optics.index import missing_k_error
 
             raise missing_k_error("", self.index.n)
+        return self
+
+    @model_validator(mode="after")
+    def _check_gloss_finish(self) -> Self:
+        """Refuse a finish of gloss readings without them, or where they are those of two faces."""
+        accepted = "`measured.gloss` at two or three of 20, 60 and 85 degree"
+        if self.slab is not None and isinstance(self.slab.back, GlossSurface):
+            problem, accepted = "the back of a clear body has no gloss of its own", "same, flat, or another surface"
+            raise InputError("", problem, where="slab.back.distribution", found=repr(MEASURED_GLOSS), accepted=accepted)
+        if not isinstance(self.surface, GlossSurface):
+            return self
+        readings = None if self.measured is None else self.measured.gloss
+        found = 0 if readings is None else len(readings.model_fields_set)
+        problem = "the gloss readings are missing" if found == 0 else "one gloss reading alone" if found == 1 else ""
+        if self.slab is not None:
+            problem = "a clear body has gloss from both faces"
+            accepted = f"no `slab`, or another finish than {MEASURED_GLOSS}"
+        if problem:
+            raise InputError("", problem, where="surface.distribution", found=repr(MEASURED_GLOSS), accepted=accepted)
         return self
 
     @model_validator(mode="after")

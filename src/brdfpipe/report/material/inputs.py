@@ -21,6 +21,11 @@ from brdfpipe.report.plots.svg import Figure
 from brdfpipe.surfaces.texture_parameters import NAMES
 
 _FACET_TITLES = {
+    "median_slope": "Median slope",
+    "median_slope_log_u": "Median slope, standard uncertainty of its logarithm",
+    "tail": "Tail, 0 for Beckmann and 1 for GGX",
+    "tail_u": "Tail, standard uncertainty",
+    "gloss_chi_squared": "χ² of the gloss readings with the best slopes",
     "slope_rms": "rms slope, without spikes",
     "tail_slope": "Slope from which the density is extrapolated",
     "tail_share": "Facets in the extrapolated tail, of all",

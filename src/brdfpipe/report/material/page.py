@@ -7,7 +7,7 @@ from collections.abc import Collection, Mapping
 import xarray as xr
 
 from brdfpipe.appearance.applicability import limits
-from brdfpipe.appearance.origin import basis, is_measured, route, solution_words
+from brdfpipe.appearance.origin import basis, gloss_readings, is_measured, route, solution_words
 from brdfpipe.appearance.quantities import viewing_conditions
 from brdfpipe.appearance.validity import validity
 from brdfpipe.appearance.verdicts import (
@@ -134,6 +134,11 @@ def _no_conditions(datasets: Mapping[str, xr.Dataset]) -> str:
         )
     if "surface" in datasets:
         return "No condition of the model was judged: the surface is perfectly flat, or no facets were counted."
+    if gloss_readings(datasets):
+        return (
+            "The surface is known by its gloss alone. No condition of the model can be judged without a scan: whether one density of slopes, without a lay "
+            "and by geometrical optics, describes it. The uncertainties cover the slopes that have this gloss."
+        )
     return (
         "Nothing of the surface was measured: there is no statement on how far gloss, haze and the angular figures can be trusted. They are "
         "those of the assumed finish. Set `surface: file` in material.yaml to use a measurement."

@@ -1,0 +1,449 @@
+"""The slope density of a finish that is known by gloss readings alone.
+
+Gloss at two or three angles bounds the width of the slopes, and less well their tail: more gloss at 20° than at 85° says that the slopes of a finish are
+narrow with a long tail. Both are unknown at once: the family of densities goes from Beckmann's to GGX (:mod:`brdfpipe.facets.student_slopes`). The
+result is the mean density over all that agree with the readings, with its principal changes as uncertainty, so that what follows from it has the mean
+and the variance that the readings leave.
+
+Assumed before the readings: all widths from 0.001 to 1 are equally likely on a logarithmic scale, and so are Beckmann's tail, that of GGX, and one between.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
+
+import numpy as np
+import xarray as xr
+from scipy.interpolate import CubicSpline, PchipInterpolator
+
+from brdfpipe import vocabulary
+from brdfpipe.appearance import apertures, gloss_meter
+from brdfpipe.bsdf.microfacet.builder import build
+from brdfpipe.bsdf.microfacet.microsurface import Microsurface
+from brdfpipe.bsdf.microfacet.model import Model
+from brdfpipe.comparison import reading_defaults
+from brdfpipe.errors import BrdfpipeError
+from brdfpipe.facets import student_slopes
+from brdfpipe.facets.analytic_distributions import flat
+from brdfpipe.facets.density_changes import with_changes
+from brdfpipe.facets.facet_dataset import radial_dataset
+from brdfpipe.facets.radial_density import RadialDensity, masses
+from brdfpipe.geometry import Array
+from brdfpipe.masking.smith import Smith, smith_lambda
+from brdfpipe.optics.fresnel_equations import fresnel
+from brdfpipe.optics.index import refractive_index
+
+WIDTHS = (1e-3, 1.0)
+"""Range of the widths a. Narrower slopes mirror as a polished surface does; wider ones are steeper than 45° at half of the facets."""
+
+TAILS: Mapping[str, Mapping[float, float]] = {
+    "any": {0.0: 1 / 3, 0.25: 1 / 9, 0.5: 1 / 9, 0.75: 1 / 9, 1.0: 1 / 3},
+    "beckmann": {0.0: 1.0},
+    "ggx": {1.0: 1.0},
+}
+"""Accepted words → probability of each tail before the readings: either named density, or one between them."""
+
+MULTIPLE_SCATTERING = "directional"
+"""Light that facets reflect more than once, where the default leaves it to its share: gloss is a continuous function of the width."""
+
+_NODES, _FINE = 29, 561
+"""Widths at which gloss is computed, and between them, on a logarithmic scale."""
+
+_FURTHER_WIDTHS = np.geomspace(0.02, 1.0, 12)
+"""Widths at which the light that facets reflect more than once is computed; below the first there is none."""
+
+_RULE = apertures.Rule((2, 3), 3)
+"""Accurate to 0.1 gloss units."""
+
+_NEAR = 20.0
+"""Logarithm of the largest likelihood over one that is still near."""
+
+_WAVELENGTH, _LEAST_INDEX = 550.0, 1.001
+"""At which the index is read [nm], and its smallest value."""
+
+_UNLIKELY = 1e-5
+"""Share of the most likely density below which one is left out."""
+
+_MISFIT = 9.0
+"""χ² of the best density, over its degrees of freedom, above which no density of the family explains the readings."""
+
+_AT_EDGE = 0.1
+"""Likelihood at the end of the range of widths, over the largest, above which the readings do not bound the width there."""
+
+_NOT_DETERMINED = 0.8
+"""Standard deviation of the tail, over that before the readings, above which they do not determine it."""
+
+_TAIL_U = float(np.sqrt(sum(share * (tail - 0.5) ** 2 for tail, share in TAILS["any"].items())))
+
+_STEEPEST = 11.0
+"""Slope (85°) up to which the uncertainty of a density is represented."""
+
+_MOST_CHANGES, _KEPT = 8, 0.99
+"""Changes of the density, and share of its variance that is enough."""
+
+_DEEPEST = 0.9
+"""Largest share of a density that a change takes away: it stays positive."""
+
+_REACH, _SLOPES = 1e6, 1024
+"""Steepest slope over the largest width, and number of slopes."""
+
+
+class GlossFinishError(BrdfpipeError):
+    """Gloss readings from which no finish follows."""
+
+
+class Finishes(NamedTuple):
+    """The densities that agree with readings."""
+
+    tail: Array
+    log_width: Array
+    weight: Array
+    """Probability of each, (densities,); of one width and tail each."""
+    gloss: Array
+    """Of each at 20, 60 and 85°, (densities, 3)."""
+    chi_squared: float
+    """Of the one that agrees best."""
+    at_edges: tuple[float, float]
+    """Likelihood at the smallest and the largest width over the largest likelihood."""
+
+    @property
+    def log_median(self) -> Array:
+        """Logarithm of the median slope of each."""
+        ratio = {tail: np.log(student_slopes.median_over_width(tail)) for tail in np.unique(self.tail).tolist()}
+        return self.log_width + np.array([ratio[tail] for tail in self.tail.tolist()])
+
+    def mean(self, values: Array) -> Array:
+        """Mean of values (densities, …)."""
+        return np.asarray(np.tensordot(self.weight, values, 1))
+
+    def deviation(self, values: Array) -> Array:
+        """Standard deviation of values (densities, …)."""
+        return np.asarray(np.sqrt(np.maximum(self.mean(np.square(values - self.mean(values))), 0.0)))
+
+
+ANGLES = (20.0, 60.0, 85.0)
+
+
+@dataclass(frozen=True)
+class GlossOfFinishes:
+    """Gloss of the finishes of the family, with one index and one spectrum.
+
+    Parameters
+    ----------
+    index : kind ``index``, a number or a plastic's name
+    spectrum : kind ``spectrum``; None for a body without diffuse light
+    slopes : a word of :data:`TAILS`
+    """
+
+    index: xr.Dataset | float | str
+    spectrum: xr.Dataset | None = None
+    slopes: str = "any"
+    _known: dict[str, Array] = field(default_factory=dict, init=False, repr=False, compare=False)
+
+    @property
+    def tails(self) -> tuple[float, ...]:
+        return tuple(TAILS[self.slopes])
+
+    def finishes(self, gloss: Mapping[float, float], u: Mapping[float, float]) -> Finishes:
+        """The densities that agree with readings, by geometry [degree], and their standard uncertainties [gloss units]."""
+        at = [ANGLES.index(angle) for angle in gloss]
+        read, read_u = np.array(list(gloss.values())), np.array([u[angle] for angle in gloss])
+        log_width = _log_widths(_FINE)
+        single = CubicSpline(_log_widths(_NODES), self._single, axis=1)(log_width)
+        # The light that is reflected more than once is computed only near the widths that agree.
+        first = self._log_likelihood(single, at, read, read_u)
+        near = log_width[(first > first.max() - _NEAR).any(axis=0)]
+        factor = self._several(log_width, float(near[0]), float(near[-1]))
+        values = factor * (single + self._base)
+        log_likelihood = self._log_likelihood(factor * single + (factor - 1) * self._base, at, read, read_u)
+        log_likelihood = log_likelihood + np.log(list(TAILS[self.slopes].values()))[:, None]
+        likelihood = np.exp(log_likelihood - log_likelihood.max())
+        kept = likelihood > _UNLIKELY
+        tail, width = np.meshgrid(self.tails, log_width, indexing="ij")
+        best = values[np.unravel_index(likelihood.argmax(), likelihood.shape)][at]
+        misfit = float(np.sum(((read - best) / read_u) ** 2))
+        weight = likelihood[kept] / likelihood[kept].sum()
+        ends = float(likelihood[:, 0].max()), float(likelihood[:, -1].max())
+        return Finishes(tail[kept], width[kept], weight, values[kept], misfit, ends)
+
+    def _log_likelihood(self, of_surface: Array, at: list[int], read: Array, u: Array) -> Array:
+        """Of readings, from the gloss of the surface alone (…, 3); the index is uncertain as stated, and common to all angles."""
+        by_index = [
+            np.log(share) - 0.5 * np.square((read - (of_surface * factor + self._base)[..., at]) / u).sum(axis=-1)
+            for share, factor in self._index_factors
+        ]
+        return np.asarray(np.logaddexp.reduce(by_index))
+
+    @property
+    def _index_factors(self) -> list[tuple[float, Array]]:
+        """Probability, and Fresnel's reflectance at the angles over that of the given index, of indices within its uncertainty."""
+        index = self.index if isinstance(self.index, xr.Dataset) else refractive_index(self.index)
+        at = index.sel(wavelength=_WAVELENGTH, method="nearest")
+        n, k, n_u = float(at["n"]), float(at["k"]), float(at.get("n_u", 0.0))
+        if not n_u:
+            return [(1.0, np.ones(len(ANGLES)))]
+        cosine = np.cos(np.radians(ANGLES))
+        nominal = fresnel(cosine, n, k).mean
+        # The nodes of Gauss and Hermite's quadrature of three points.
+        return [
+            (share, fresnel(cosine, max(n + step * n_u, _LEAST_INDEX), k).mean / nominal)
+            for share, step in ((1 / 6, -np.sqrt(3)), (2 / 3, 0.0), (1 / 6, np.sqrt(3)))
+        ]
+
+    @property
+    def _flat(self) -> tuple[apertures.Sample, Model]:
+        sample = apertures.sample_of(build(flat(), index=self.index, spectrum=self.spectrum), None)
+        return sample, Model.of(sample.bsdf, None)
+
+    @property
+    def _base(self) -> Array:
+        """Gloss of the diffuse light below a polished surface, (3,)."""
+        if "base" not in self._known:
+            sample, model = self._flat
+            self._known["base"] = _gloss(sample, model, sample.lobe)
+        return self._known["base"]
+
+    @property
+    def _single(self) -> Array:
+        """Gloss of light that facets mirror once, (tails, widths, 3)."""
+        if "single" not in self._known:
+            sample, model = self._flat
+            bare = replace(model, diffuse=np.zeros(1))
+            widths = np.exp(_log_widths(_NODES))
+            self._known["single"] = np.array([list(_of_widths(sample, bare, tail, widths)) for tail in self.tails])
+        return self._known["single"]
+
+    def _several(self, log_width: Array, low: float, high: float) -> Array:
+        """Factor of gloss by light that facets reflect more than once, (tails, widths, 3), right between two widths; linear in the tail."""
+        nodes = np.log(_FURTHER_WIDTHS)
+        first = max(int(np.searchsorted(nodes, low, side="right")) - 1, 0)
+        last = min(int(np.searchsorted(nodes, high)), nodes.size - 1)
+        if high < nodes[0]:
+            return np.ones((len(self.tails), log_width.size, 3))
+        used = nodes[first : last + 1]
+        ends = sorted({self.tails[0], self.tails[-1]})
+        factors = np.array([[self._factor(tail, float(np.exp(one))) for one in used] for tail in ends])
+        if first == 0:
+            # No light is reflected twice where slopes are half as wide.
+            used = np.concatenate([[nodes[0] - np.log(2)], used])
+            factors = np.concatenate([np.ones_like(factors[:, :1]), factors], axis=1)
+        at = np.clip(log_width, used[0], used[-1])
+        by_end = PchipInterpolator(used, factors, axis=1)(at) if used.size > 1 else factors.repeat(at.size, axis=1)
+        return np.array([by_end[0] + tail * (by_end[-1] - by_end[0]) for tail in self.tails])
+
+    def _factor(self, tail: float, width: float) -> Array:
+        """Gloss of the whole model over that of the single reflection and a base that the facets do not change."""
+        name = f"{tail} {width}"
+        if name not in self._known:
+            whole = build(
+                _facets_of(tail, width),
+                index=self.index,
+                spectrum=self.spectrum,
+                multiple_scattering=MULTIPLE_SCATTERING,
+            )
+            once = CubicSpline(_log_widths(_NODES), self._single[self.tails.index(tail)], axis=0)
+            quick = once(np.log(width)) + self._base
+            self._known[name] = gloss_meter.gloss(whole, ANGLES).values / quick
+        return self._known[name]
+
+
+def _log_widths(count: int) -> Array:
+    return np.linspace(np.log(WIDTHS[0]), np.log(WIDTHS[1]), count)
+
+
+def _gloss(sample: apertures.Sample, model: Model, lobe: float) -> Array:
+    """Gloss units at :data:`ANGLES` of a model that mirrors nothing into one single direction."""
+    reflector = _Scattering(model)
+    beams = [gloss_meter.beam_of(angle, _RULE) for angle in ANGLES]
+    received = apertures.received(sample._replace(lobe=lobe), beams, np.zeros(1), reflector)
+    return np.array(
+        [
+            gloss_meter.gloss_of(sample, beam, light, np.zeros(1), reflector)[0]
+            for beam, light in zip(beams, received, strict=True)
+        ]
+    )
+
+
+def _of_widths(sample: apertures.Sample, bare: Model, tail: float, widths: Array) -> Iterator[Array]:
+    """Gloss of the light that facets of one tail mirror once, at each width: slopes and masking scale with it."""
+    density = _unit_density(tail)
+    table = smith_lambda(density)
+    cotangent = 1 / np.tan(np.radians(table["theta"].values))
+    for width in widths.tolist():
+        wide = RadialDensity(density.slope * width, density.density / width**2)
+        theta = ("theta", np.degrees(np.arctan2(1.0, width * cotangent)))
+        smith = Smith.of(xr.Dataset({"lambda_smith": ("theta", table.values)}, coords={"theta": theta}))
+        yield _gloss(sample, replace(bare, surface=Microsurface(wide, smith)), float(np.clip(width, 1e-6, 0.2)))
+
+
+def _unit_density(tail: float) -> RadialDensity:
+    """The density of width 1."""
+    reach, nodes = (8.3, 512) if tail == 0 else (1e7, _SLOPES)
+    slope = np.sinh(np.linspace(0, np.arcsinh(reach), nodes))
+    return RadialDensity(slope, student_slopes.density(slope, 1.0, tail))
+
+
+def _facets_of(tail: float, width: float) -> xr.Dataset:
+    unit = _unit_density(tail)
+    facets = radial_dataset(RadialDensity(unit.slope * width, unit.density / width**2), np.nan)
+    return vocabulary.label(facets.assign_attrs(method="", band=""), "facets")
+
+
+class _Scattering:
+    """A model whose light is scattered; none is mirrored into one single direction."""
+
+    def __init__(self, model: Model) -> None:
+        self._model = model
+
+    def evaluate(self, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array, wavelength: Array | None) -> Array:
+        return self._model.evaluate(theta_i, phi_i, theta_o, phi_o)
+
+    def specular(self, theta_i: Array, phi_i: Array, wavelength: Array | None) -> tuple[Array, Array]:
+        none = np.zeros((*np.shape(theta_i), 1))
+        return none, none
+
+    def albedo(self, theta_i: Array, phi_i: Array, wavelength: Array | None) -> Array:
+        return self._model.directional_albedo(theta_i, phi_i)
+
+    def transmittance(self, theta_i: Array, phi_i: Array, wavelength: Array | None) -> Array:
+        return self._model.transmittance(theta_i, phi_i)
+
+
+def finish_from_gloss(
+    gloss: Mapping[float, float],
+    *,
+    index: xr.Dataset | float | str,
+    spectrum: xr.Dataset | None = None,
+    gloss_u: float | None = None,
+    slopes: str = "any",
+) -> xr.Dataset:
+    """The slope density of a finish from its gloss.
+
+    Parameters
+    ----------
+    gloss : geometry (20, 60 or 85 degree) → reading [gloss units], of two or three
+    index : kind ``index``, a number or a plastic's name; its ``n_u`` is taken into account
+    spectrum : kind ``spectrum``; its diffuse light is part of the gloss
+    gloss_u : standard uncertainty of each reading [gloss units]; by default that of :func:`brdfpipe.comparison.reading_defaults.gloss_u`
+    slopes : ``any`` from Beckmann's to GGX, or one of them: a word of :data:`TAILS`
+
+    Returns
+    -------
+    Dataset of kind ``facets``: the mean of the densities that agree with the readings, and its principal changes (source ``facets``). ``median_slope``,
+    with the standard uncertainty of its logarithm ``median_slope_log_u``; ``tail`` (0 Beckmann, 1 GGX) and ``tail_u``; ``gloss_chi_squared`` of the density
+    that agrees best. Warnings say what the readings do not determine
+
+    Raises
+    ------
+    GlossFinishError : fewer than two readings, an unknown geometry or word, or an uncertainty that is not above 0.
+
+    Notes
+    -----
+    The light of facets beyond one reflection is part of it (``multiple_scattering: directional``). If no density explains the readings, their uncertainties are
+    enlarged until the best one does (Birge 1932).
+    """
+    if len(gloss) < 2 or set(gloss) - set(ANGLES):
+        given = ", ".join(f"{angle:g}°" for angle in gloss) or "none"
+        raise GlossFinishError(
+            f"gloss readings at {given}; accepted: two or three of 20°, 60° and 85°; set `measured.gloss`"
+        )
+    if slopes not in TAILS:
+        raise GlossFinishError(f"unknown slopes {slopes!r}; accepted: {', '.join(TAILS)}; set `surface.slopes`")
+    if gloss_u is not None and not gloss_u > 0:
+        raise GlossFinishError(
+            f"the uncertainty of gloss is {gloss_u:g}; accepted: above 0; set `measured.uncertainty.gloss`"
+        )
+    u = {angle: reading_defaults.gloss_u(value, gloss_u) for angle, value in gloss.items()}
+    known = GlossOfFinishes(index, spectrum, slopes)
+    found = known.finishes(gloss, u)
+    freedom = max(len(gloss) - (2 if slopes == "any" else 1), 1)
+    chi_squared, enlarged = found.chi_squared, 1.0
+    if chi_squared > _MISFIT * freedom:
+        enlarged = float(np.sqrt(chi_squared / freedom))
+        found = known.finishes(gloss, {angle: one * enlarged for angle, one in u.items()})
+    return facets_of_finishes(found, gloss, chi_squared, enlarged)
+
+
+def facets_of_finishes(
+    found: Finishes, gloss: Mapping[float, float], chi_squared: float, enlarged: float = 1.0
+) -> xr.Dataset:
+    """The facets of all densities that agree with readings; see :func:`finish_from_gloss`."""
+    slope, each = _densities(found)
+    mean = found.mean(each)
+    density = RadialDensity(slope, mean / float(masses(slope, mean[None])[0]))
+    log_median = found.log_median
+    values = {
+        "median_slope": float(np.exp(found.mean(log_median))),
+        "median_slope_log_u": float(found.deviation(log_median)),
+        "tail": float(found.mean(found.tail)),
+        "tail_u": float(found.deviation(found.tail)),
+        "gloss_chi_squared": chi_squared,
+    }
+    facets = radial_dataset(density, np.nan).assign(values)
+    readings = ", ".join(f"{angle:g}° {value:g}" for angle, value in gloss.items())
+    facets.attrs = {"method": f"from gloss {readings}", "band": "none: not measured", "gloss_readings": readings}
+    facets = with_changes(facets, {"facets": _principal(found, each, density)})
+    facets = vocabulary.add_history(facets, _statement(values))
+    return vocabulary.label(vocabulary.add_warning(facets, *_not_determined(found, enlarged)), "facets")
+
+
+def _densities(found: Finishes) -> tuple[Array, Array]:
+    """Slopes that resolve all densities, and each density there, (densities, slopes)."""
+    width = np.exp(found.log_width)
+    reach = width.max() * (8.3 if not found.tail.any() else _REACH)
+    slope = width.min() / 2 * np.sinh(np.linspace(0, np.arcsinh(2 * reach / width.min()), _SLOPES))
+    pairs = zip(width.tolist(), found.tail.tolist(), strict=True)
+    return slope, np.array([student_slopes.density(slope, *pair) for pair in pairs])
+
+
+def _principal(found: Finishes, each: Array, density: RadialDensity) -> Array:
+    """A few changes of the mean density (changes, slopes) with its variance at each slope, and between slopes."""
+    by_density = (np.sqrt(found.weight)[:, None] * (each - found.mean(each))).T
+    deviation = np.sqrt(np.square(by_density).sum(axis=1))
+    seen = (density.slope < _STEEPEST) & (deviation > 1e-9 * density.density)
+    if not seen.any():
+        return np.empty((0, density.slope.size))
+    # Of the relative changes at each slope: a decade of slopes in the tail counts as one about the mirror direction.
+    _, sizes, rows = np.linalg.svd(by_density[seen] / deviation[seen, None], full_matrices=False)
+    share = np.cumsum(sizes**2) / np.sum(sizes**2)
+    changes = by_density @ rows[: min(int(np.searchsorted(share, _KEPT)) + 1, _MOST_CHANGES)].T
+    relative = changes / density.density[:, None]
+    # The sign is arbitrary: a density grows without limit, and stays positive.
+    changes = changes * np.where(-relative.min(axis=0) > relative.max(axis=0), -1.0, 1.0)
+    after = np.maximum(density.density[:, None] + changes, (1 - _DEEPEST) * density.density[:, None]).T
+    return np.asarray(after / masses(density.slope, after)[:, None] - density.density)
+
+
+def _statement(values: Mapping[str, float]) -> str:
+    tail = (
+        "not determined"
+        if values["tail_u"] > _NOT_DETERMINED * _TAIL_U
+        else f"{values['tail']:.2f} ± {values['tail_u']:.2f}"
+    )
+    return (
+        f"gloss gives a median slope of {values['median_slope']:.3g} ± {100 * values['median_slope_log_u']:.2g} % and a tail {tail} "
+        "(0: Beckmann, 1: GGX)"
+    )
+
+
+def _not_determined(found: Finishes, enlarged: float) -> Iterator[str]:
+    """What the readings do not determine."""
+    order = np.argsort(found.log_median)
+    low, high = np.interp([0.05, 0.95], np.cumsum(found.weight[order]), np.exp(found.log_median[order]))
+    if enlarged > 1:
+        yield (
+            "no slopes from Beckmann's to GGX have this gloss: check readings and index; the uncertainty of the readings was enlarged "
+            f"{enlarged:.2g} times until the best ones do"
+        )
+    if found.at_edges[0] > _AT_EDGE:
+        yield (
+            f"gloss does not tell how smooth the finish is, only that its median slope is below {high:.2g} (95 %): narrower slopes mirror all light into the "
+            f"receptors. Down to {WIDTHS[0]:g} all widths count as equally likely"
+        )
+    if found.at_edges[1] > _AT_EDGE:
+        yield (
+            f"gloss does not tell how rough the finish is, only that its median slope is above {low:.2g} (95 %): rougher ones have less gloss than the "
+            f"uncertainty of the readings. Up to {WIDTHS[1]:g} all widths count as equally likely"
+        )
