@@ -441,6 +441,7 @@ QUANTITIES: Mapping[str, Quantity] = {
     "reflectance_haze": Quantity(
         "1", "light beside the mirror image of a source, black glass being 100, ISO 13803-style", 0
     ),
+    "lab_sce": Quantity("1", "CIE 1976 L*a*b* at 8 degree, specular component excluded"),
     "lab_along": Quantity("1", "CIE 1976 L*a*b*, plane of incidence along the lay", missing=True),
     "lab_across": Quantity("1", "CIE 1976 L*a*b*, plane of incidence across the lay", missing=True),
     "luminous_transmittance": Quantity(
@@ -701,6 +702,7 @@ KINDS: Mapping[str, Kind] = {
             "gloss": [("gloss_angle",)],
             "haze": SCALAR,
             "lab": [("geometry", "component")],
+            "lab_sce": [("component",)],
             "flop_index": SCALAR,
             "luminous_reflectance": SCALAR,
             "srgb": [("channel",)],

@@ -11,10 +11,11 @@ import samples
 
 from brdfpipe import appearance, facets, vocabulary
 from brdfpipe.appearance import computation
-from brdfpipe.appearance.colours import colour, colour_uncertainty, flop_index
+from brdfpipe.appearance.colours import TOTAL, colour, colour_uncertainty, colour_without_specular, flop_index
 from brdfpipe.bsdf import lambert_gauss, microfacet
 from brdfpipe.errors import BrdfpipeError
 from brdfpipe.flakes import SETS
+from brdfpipe.spectra import colorimetry
 
 
 def test_flop_index_is_the_printed_one():
@@ -34,8 +35,6 @@ def test_a_white_lambertian_is_white_from_everywhere():
 
 @pytest.mark.parametrize(("observer", "illuminant"), [(2, "D65"), (10, "A")])
 def test_the_total_reflectance_gives_the_colour_of_its_spectrum(observer, illuminant):
-    from brdfpipe.spectra import colorimetry
-
     reflectance = 0.1 + 0.5 * (samples.WAVELENGTH > 580)
     lab = colour(samples.beckmann_bsdf(0.2, reflectance=reflectance), illuminant=illuminant, observer=observer)
     xyz = colorimetry.reflectance_to_xyz(samples.WAVELENGTH, reflectance, illuminant, observer)
@@ -213,3 +212,26 @@ def test_a_paint_that_is_black_at_45_degree_has_no_flop_index():
     assert np.isnan(flop_index(20.0, 0.0, 0.0))
     assert np.isnan(flop_index(20.0, 0.05, 0.0))
     assert flop_index(20.0, 0.5, 0.0) > 0
+
+
+@pytest.mark.parametrize(("a", "trap"), [(0.01, 5.0), (0.05, 5.0), (0.3, 5.0)])
+def test_the_colour_without_specular_is_that_of_the_spectrum_measured_so(a: float, trap: float) -> None:
+    """A body of which an instrument with a gloss trap read the spectrum has the colour of that spectrum in that instrument."""
+    read = samples.spectrum(0.2 + 0.1 * np.sin(samples.WAVELENGTH / 40), geometry="sce").assign_attrs(
+        specular_trap=trap
+    )
+    bsdf = microfacet.build(facets.analytic("beckmann", a), index=1.5, spectrum=read)
+    xyz = colorimetry.reflectance_to_xyz(samples.WAVELENGTH, read["total_reflectance"].values, "D65", 10)
+    expected = colorimetry.xyz_to_lab(xyz, colorimetry.weights("D65", 10).white)
+    # The trap takes a little of the base too, which the spectrum has (0.8 % of the light in a cone of 5°): 0.3 of L*.
+    found = colour_without_specular(bsdf).values
+    assert found == pytest.approx(expected, abs=0.3)
+    assert found[0] < expected[0]
+
+
+def test_the_colour_without_specular_of_a_polished_body_is_without_its_mirror_image() -> None:
+    grey = samples.spectrum(0.3)
+    bsdf = microfacet.build(facets.flat(), index=1.5, spectrum=grey)
+    total = colour(bsdf, ()).sel(geometry=TOTAL, component="L*")
+    # 4 % of the light are mirrored: L* of 0.26 instead of 0.3, and of the base in the trap 0.8 % of it.
+    assert float(total - colour_without_specular(bsdf)[0]) == pytest.approx(3.65, abs=0.3)

@@ -130,7 +130,7 @@ def test_only_the_asked_parts_are_computed_with_the_values_of_the_whole() -> Non
     names = ["45as25", "45as45"]
     colours = appearance.compute_appearance(bsdf, parts=["colour"], geometries=names, standard_geometries=False)
     assert list(colours["geometry"].values) == ["8:total", *names]
-    assert set(colours.data_vars) == {"lab", "lab_u", "luminous_reflectance", "srgb"}
+    assert set(colours.data_vars) == {"lab", "lab_u", "lab_sce", "luminous_reflectance", "srgb"}
     # Rounding: the light is summed in another order.
     assert np.allclose(colours["lab"].sel(geometry="45as45"), whole["lab"].sel(geometry="45as45"), atol=1e-9)
     total = appearance.compute_appearance(bsdf, parts=["colour"], geometries=[], standard_geometries=False)

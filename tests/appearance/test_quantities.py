@@ -25,7 +25,7 @@ from brdfpipe.appearance.quantities import (
 )
 from brdfpipe.bsdf import microfacet, slab
 from brdfpipe.errors import BrdfpipeError
-from brdfpipe.facets import flat
+from brdfpipe.facets import analytic, flat
 from brdfpipe.report import catalogue_csv, catalogue_page, combine, material_page, summarise
 
 Datasets = dict[str, xr.Dataset]
@@ -85,7 +85,7 @@ def test_every_quantity_has_label_definition_and_unit() -> None:
     for quantity in quantities():
         assert quantity.label
         assert quantity.definition
-        assert quantity.unit in ("1", "GU", "um")
+        assert quantity.unit in ("1", "GU", "um", "degree")
 
 
 def test_haze_of_transmission_is_on_the_page_of_the_material_and_in_the_catalogue() -> None:
@@ -131,6 +131,39 @@ def test_the_catalogue_contains_the_flop_index_or_the_reason_why_not() -> None:
     black = appearance.assign(flop_index=np.nan, lab=xr.zeros_like(appearance["lab"]))
     assert "not defined for black" in str(summarise({"bsdf": bsdf, "appearance": black})["no_flop"].values[0])
     assert "perfectly diffuse" in str(summarise({"appearance": appearance})["no_flop"].values[0])
+
+
+def test_a_plastic_has_no_flop_index_and_is_told_why() -> None:
+    bsdf = samples.beckmann_bsdf(0.1, reflectance=0.06)
+    row = summarise(
+        {"bsdf": bsdf, "facets": samples.beckmann(0.1), "appearance": compute_appearance(bsdf, parts=["colour"])}
+    )
+    assert np.isnan(float(row["flop_index"][0]))
+    assert "for paints with effect pigments" in str(row["no_flop"].values[0])
+
+
+def test_the_catalogue_has_the_colours_without_specular_and_at_45_0(full: Datasets) -> None:
+    bsdf = samples.beckmann_bsdf(0.02, reflectance=0.3)
+    appearance = compute_appearance(bsdf, parts=["colour"])
+    row = summarise({"bsdf": bsdf, "facets": samples.beckmann(0.02), "appearance": appearance})
+    at_45 = [float(row[f"{name}_45_0"][0]) for name in "Lab"]
+    assert at_45 == appearance["lab"].sel(geometry="45:0").values.tolist()
+    without = [float(row[f"{name}_sce"][0]) for name in "Lab"]
+    assert without == appearance["lab_sce"].values.tolist()
+    # A glossy body without its gloss is darker than all it reflects; 45:0 sees no gloss either, only the base through the surface.
+    assert without[0] < float(row["L"][0]) - 1
+    assert np.isnan(float(summarise({"facets": full["facets"]})["L_sce"][0]))
+
+
+def test_the_catalogue_has_numbers_of_the_scan_that_pages_do_not_list(full: Datasets) -> None:
+    row, shown = summarise(full), catalogue_page(summarise(full), {})
+    assert float(row["Sq"][0]) == pytest.approx(float(full["surface"]["Sq"]))
+    assert float(row["pitch"][0]) == full["surface"].attrs["pitch_x"]
+    assert float(row["missing_share"][0]) == pytest.approx(np.isnan(full["surface"]["height"].values).mean())
+    assert np.isnan(float(row["lay"][0]))
+    assert "Pitch" not in shown
+    brushed = analytic("beckmann", a_x=0.05, a_y=0.2, azimuth=-30)
+    assert float(summarise({"facets": brushed})["lay"][0]) == pytest.approx(150.0)
 
 
 def test_the_luminous_reflectance_of_a_constant_spectrum_is_that_constant(full: Datasets) -> None:

@@ -87,7 +87,15 @@ def reflectance_haze_exclusion(datasets: Datasets) -> str:
 
 
 def flop_exclusion(datasets: Datasets) -> str:
-    """The flop index needs a surface finish, a surface that darkens away from the mirror direction, and one not black at 45°."""
+    """The flop index is for effect paints; it needs a surface that darkens away from the mirror direction, and one not black at 45°.
+
+    A BRDF that was measured, or comes from a file, may be that of an effect paint.
+    """
+    if has_finish(datasets) and route(datasets) == "predicted" and "bsdf" in datasets:
+        return (
+            "The flop index is for paints with effect pigments: of others it tells how glossy they are. A paint with effect pigments has "
+            "`multiangle` in material.yaml."
+        )
     if not has_finish(datasets):
         return _NO_FINISH.format(quantity="flop index")
     appearance = datasets.get("appearance", xr.Dataset())

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from brdfpipe import hemisphere, vocabulary
 from brdfpipe.appearance.tolerances import labelled, standard_uncertainty
 from brdfpipe.bsdf.base import Representation
+from brdfpipe.bsdf.microfacet.gloss_trap import SPECULAR_TRAP
 from brdfpipe.bsdf.registry import representation
 from brdfpipe.bsdf.source_changes import Reflector, SourceChanges
 from brdfpipe.flakes.geometries import SETS, Directions, named_directions, refuse_mixed_signs
@@ -44,6 +45,9 @@ _CHANGE_ACCURACY = 1e-4
 
 BLACK = 0.1
 """Lightness below which a colour counts as black: ten times the spread of good instruments on a black tile."""
+
+_TRAP_SLOPE = 0.1
+"""Slope for which the light in a gloss trap is integrated, where the BSDF has no lobe."""
 
 _ROUNDING = 1e-9
 """Differences of lightness of a perfect diffuser, from rounding."""
@@ -97,6 +101,33 @@ def colour(
     sphere = colorimetry.reflectance_to_xyz(wavelength, total, illuminant, observer)
     single = _lab(bsdf, angles(directions), illuminant, observer, azimuth, reflector)
     return _labelled("lab", np.concatenate([colorimetry.xyz_to_lab(sphere, white)[None], single]), directions)
+
+
+def colour_without_specular(bsdf: xr.Dataset, illuminant: str = "D65", observer: int = 10) -> xr.DataArray:
+    """CIE L*a*b* of the reflectance at 8° with the specular component excluded, as a sphere instrument with a gloss trap reads it.
+
+    The trap takes the light within :data:`.SPECULAR_TRAP` of the mirror direction, and what is mirrored into that direction alone.
+
+    Parameters
+    ----------
+    bsdf : kind ``bsdf``
+    illuminant, observer : CIE illuminant name; 2 or 10 [degree]
+
+    Returns
+    -------
+    DataArray ``lab_sce(component)`` [1]; the mean over all azimuths, of a surface with a lay
+    """
+    evaluator = representation(bsdf)
+    rule = hemisphere.around_mirror(8.0, evaluator.lobe_slope or _TRAP_SLOPE, SPECULAR_TRAP)
+    turns = hemisphere.azimuths(evaluator.isotropic)[:, None]
+    at = np.broadcast_arrays(8.0, turns, rule.theta, rule.phi + turns)
+    trapped = (rule.weight[:, None] * evaluator.evaluate(at[0], at[1], at[2], at[3], None)).sum(axis=1).mean(axis=0)
+    trapped = trapped + evaluator.specular(np.full(turns.size, 8.0), turns[:, 0], None)[0].mean(axis=0)
+    wavelength, total = evaluator.total_reflectance()
+    left = np.maximum(total - trapped, 0.0)
+    xyz = colorimetry.reflectance_to_xyz(wavelength, left, illuminant, observer)
+    lab = colorimetry.xyz_to_lab(xyz, colorimetry.weights(illuminant, observer).white)
+    return labelled("lab_sce", lab, component=["L*", "a*", "b*"])
 
 
 def colours_after_changes(

@@ -20,6 +20,7 @@ from brdfpipe.appearance.colours import (
     colour,
     colour_quality,
     colour_uncertainty,
+    colour_without_specular,
     flop_index,
 )
 from brdfpipe.appearance.gloss_basis import MEASURED_FLAGS, gloss_quality, gloss_uncertainty_from_bsdf
@@ -67,7 +68,7 @@ def compute_appearance(
 
     - ``gloss``; ``haze`` (G60 − G20, NaN without both); ``reflectance_haze`` by window; ``lab`` of the total reflectance and of single
       geometries; ``flop_index``. ``<name>_u``: standard uncertainty from the tolerances of instruments.
-    - ``luminous_reflectance``; ``srgb`` of the total reflectance (2° observer, D65); the computed quantities of
+    - ``lab_sce`` of the reflectance at 8° without what a gloss trap takes; ``luminous_reflectance``; ``srgb`` of the total reflectance (2° observer, D65); the computed quantities of
       :mod:`brdfpipe.appearance.quantities`.
     - BSDF that rests on measured angles: ``lab_quality`` and ``gloss_quality``, and ``gloss_u`` contains the uncertainty of the BSDF.
     - Surface with a lay: the values are means over the azimuth of the plane of incidence. ``gloss_along``, ``gloss_across``,
@@ -116,7 +117,8 @@ def _with_colours(
     tolerances = colour_uncertainty(bsdf, geometries, illuminant, observer)
     wavelength, total = representation(bsdf).total_reflectance()
     weight = colorimetry.luminous_weight(wavelength)
-    added = {"lab": lab, **tolerances.data_vars}
+    without = colour_without_specular(bsdf, illuminant, observer)
+    added = {"lab": lab, "lab_sce": without, **tolerances.data_vars}
     if set(FLOP_GEOMETRIES) <= set(lab["geometry"].values):
         flop = flop_index(*lab.sel(geometry=list(FLOP_GEOMETRIES), component="L*").values.tolist())
         if math.isnan(flop):

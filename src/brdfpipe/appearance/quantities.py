@@ -47,7 +47,7 @@ class AppearanceQuantity:
     """Heading on the catalogue's page, and of the tile on the page of the material."""
     symbol: str
     unit: str
-    """``GU`` (gloss units), ``um``, ``cd m-2`` or ``1``."""
+    """``GU`` (gloss units), ``um``, ``cd m-2``, ``degree`` or ``1``."""
     decimals: int
     definition: str = ""
     """By default the long name of the variable ``name`` in the vocabulary."""
@@ -67,6 +67,8 @@ class AppearanceQuantity:
     """Whether the tile shows a share in percent."""
     significant: int = 0
     """Significant digits of the tile, for values that span decades; 0: as many decimals as in the catalogue."""
+    listed: bool = True
+    """Whether pages show it; all files do."""
     appended: bool = False
     """Whether its column stands at the end of ``catalogue.csv``, behind the older ones, which keep their places."""
     on_request: bool = False
@@ -183,7 +185,7 @@ def docs_table() -> str:
     lines = []
     for q in (*quantities(), *quantities_on_request()):
         scope = q.applicability.words if q.applicability else "scenes that ask for it" * q.on_request
-        unit = {"um": "µm", "cd m-2": "cd/m²"}.get(q.unit, q.unit)
+        unit = {"um": "µm", "cd m-2": "cd/m²", "degree": "°"}.get(q.unit, q.unit)
         names = f"`{q.name}`, `{q.u_name}`" if q.u else f"`{q.name}`"
         cells = (names, q.label, q.symbol, unit, str(q.decimals), q.definition, q.standard, scope)
         lines.append("| " + " | ".join(cell.replace("|", "\\|").replace("*", "\\*") for cell in cells) + " |\n")
@@ -269,11 +271,20 @@ def _slope_words(datasets: Datasets) -> str:
     return f"all azimuths, {math.degrees(math.atan(slope)):.2g}°" if slope else "perfectly flat"
 
 
-def _lay_words(datasets: Datasets) -> str:
+def _lay_axis(datasets: Datasets) -> float | None:
+    """Azimuth of the lay [degree], that of an axis, from 0 to 180; None where there is none."""
     facets = datasets.get("facets", datasets.get("bsdf", xr.Dataset()))
     lay = float(facets["lay"]) if "lay" in facets and "slope_along" in facets.dims else math.nan
-    # An axis has an azimuth from 0 to 180 degree.
-    return f"lay {round(lay % 180, 1) % 180:g}°" if math.isfinite(lay) else ""
+    return round(lay % 180, 1) % 180 if math.isfinite(lay) else None
+
+
+def _lay_words(datasets: Datasets) -> str:
+    lay = _lay_axis(datasets)
+    return "" if lay is None else f"lay {lay:g}°"
+
+
+def _known(value: float | None) -> float:
+    return math.nan if value is None else value
 
 
 def _veil_words(datasets: Datasets) -> str:
@@ -282,6 +293,8 @@ def _veil_words(datasets: Datasets) -> str:
 
 
 # --- the quantities
+
+_COMPONENTS = {"L": "lightness L*", "a": "a*", "b": "b*"}
 
 _GLOSS = Applicability(
     "gloss", "a surface finish was measured or assumed; paints: with a clear coat", applicability.gloss_exclusion
@@ -293,7 +306,10 @@ _REFLECTANCE_HAZE = Applicability(
     "reflectance_haze", f"as gloss; window {ISO_WINDOW}", applicability.reflectance_haze_exclusion
 )
 _FLOP = Applicability(
-    "flop", "surfaces that darken away from the mirror direction", applicability.flop_exclusion, blank=True
+    "flop",
+    "paints with effect pigments, measured BRDFs and tables, that darken away from the mirror direction",
+    applicability.flop_exclusion,
+    blank=True,
 )
 
 
@@ -305,6 +321,35 @@ _READINGS = Applicability(
     ),
     blank=True,
 )
+
+
+_LAY = Applicability(
+    "lay",
+    "surfaces with a lay",
+    lambda datasets: "" if _lay_axis(datasets) is not None else "The surface has no lay, or none is known.",
+    blank=True,
+)
+
+
+def _pitch(datasets: Datasets) -> float:
+    """Distance between neighbouring heights along x [um]; NaN without a scan."""
+    return float(datasets["surface"].attrs["pitch_x"]) if "surface" in datasets else math.nan
+
+
+def _colour_at(geometry: str, k: int) -> Callable[[Datasets], float]:
+    """L*, a* or b* at a geometry of the appearance; NaN where it was not computed."""
+
+    def read(datasets: Datasets) -> float:
+        appearance = datasets.get("appearance", xr.Dataset())
+        if "lab" not in appearance or geometry not in appearance["lab"].coords.get("geometry", []):
+            return math.nan
+        return float(appearance["lab"].sel(geometry=geometry)[k])
+
+    return read
+
+
+def _colour_without_specular(k: int) -> Callable[[Datasets], float]:
+    return lambda datasets: float(datasets.get("appearance", xr.Dataset()).get("lab_sce", [math.nan] * 3)[k])
 
 
 def _furthest_z(datasets: Datasets) -> float:
@@ -359,7 +404,7 @@ for _quantity in (
             name, f"{name}*", f"{name}*", "1", 1, f"CIE 1976 {words} at the first geometry of the appearance", "CIE 015",
             read=_lab(k), u=_uncertainty("lab", geometry=0, component=k), tile="L* a* b*", hint=_lab_hint,
         )
-        for k, (name, words) in enumerate({"L": "lightness L*", "a": "a*", "b": "b*"}.items())
+        for k, (name, words) in enumerate(_COMPONENTS.items())
     ),
     AppearanceQuantity(
         "flop_index", "Flop index", "FI", "1", 1,
@@ -399,6 +444,37 @@ for _quantity in (
         "reading_z", "Readings, z", "z", "1", 1,
         "of the reading of an instrument that is furthest from its prediction: the difference over the standard uncertainty of both",
         read=_furthest_z, applicability=_READINGS, hint="read less predicted, over u", appended=True,
+    ),
+    *(
+        AppearanceQuantity(
+            f"{name}_sce", f"{name}* SCE", f"{name}*", "1", 1,
+            f"CIE 1976 {words} of the reflectance at 8 degree without the light that a gloss trap of 5 degree half angle takes", "CIE 015",
+            read=_colour_without_specular(k), tile="L* a* b* without the specular", hint="8°, SCE", appended=True,
+        )
+        for k, (name, words) in enumerate(_COMPONENTS.items())
+    ),
+    *(
+        AppearanceQuantity(
+            f"{name}_45_0", f"{name}* 45:0", f"{name}*", "1", 1, f"CIE 1976 {words} at 45:0", "CIE 015",
+            read=_colour_at("45:0", k), u=_uncertainty("lab", geometry="45:0", component=k), tile="L* a* b* at 45:0", appended=True,
+        )
+        for k, (name, words) in enumerate(_COMPONENTS.items())
+    ),
+    AppearanceQuantity(
+        "Sq", "Sq", "Sq", "um", 3, "root mean square height of the levelled map; empty for a line, whose Rq is the rms height", "ISO 25178-2",
+        read=_scalar("surface", names=("Sq",)), significant=3, listed=False, appended=True,
+    ),
+    AppearanceQuantity(
+        "pitch", "Pitch", "", "um", 3, "distance between neighbouring heights of the scan, along x", read=_pitch,
+        significant=3, listed=False, appended=True,
+    ),
+    AppearanceQuantity(
+        "missing_share", "Missing", "", "1", 4, "share of the heights of the scan that are missing",
+        read=_scalar("surface", names=("missing_fraction",)), percent=True, listed=False, appended=True,
+    ),
+    AppearanceQuantity(
+        "lay", "Lay", "", "degree", 1, "azimuth of the lay, from 0 to 180 counter-clockwise from x",
+        read=lambda datasets: _known(_lay_axis(datasets)), applicability=_LAY, listed=False, appended=True,
     ),
     AppearanceQuantity(
         "veiling_luminance", "Veiling luminance", "L", "cd m-2", 0,

@@ -58,7 +58,11 @@ def catalogue_page(
     script = (TEMPLATES / "catalogue.js").read_text("utf-8")
     vocabulary.validate(catalogue, "catalogue")
     listed = listed_quantities(catalogue.variables)
-    shown = [quantity for quantity in listed if np.isfinite(catalogue[quantity.name].values.astype(float)).any()]
+    shown = [
+        quantity
+        for quantity in listed
+        if quantity.listed and np.isfinite(catalogue[quantity.name].values.astype(float)).any()
+    ]
     named = scene or {"name": "", "purpose": ""}
     return render(
         "catalogue.html.j2",

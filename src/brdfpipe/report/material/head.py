@@ -33,7 +33,7 @@ class KeyNumber:
 
 def key_numbers(datasets: Mapping[str, xr.Dataset]) -> Iterator[KeyNumber]:
     """Tiles of the quantities that are known and apply to the material."""
-    every = (*quantities(), *quantities_on_request())
+    every = [quantity for quantity in (*quantities(), *quantities_on_request()) if quantity.listed]
     for title, group in groupby(every, key=lambda quantity: quantity.tile or quantity.label):
         values = {quantity: quantity.value(datasets) for quantity in group}
         if any(math.isfinite(value) for value in values.values()):
