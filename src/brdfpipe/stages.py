@@ -334,6 +334,11 @@ def _config_block(part: str) -> StageKeys:
     return StageKeys((), (part,), lambda subject, _: dict(subject.config[part]))
 
 
+def _doubtful_inputs() -> StageKeys:
+    """The uncertainties of inputs that a comparison may change."""
+    return StageKeys((), ("comparison",), lambda subject, _: {"doubtful": dict(subject.config["comparison"])})
+
+
 _SURFACES = (MeasuredSurface, BeckmannSurface, GgxSurface, FlatSurface)
 _SCAN_KEYS, _SLOPE_KEYS, _SPECTRUM_KEYS = (_read_by(stage, *_SURFACES) for stage in ("surface", "facets", "psd"))
 _COLOURS = (MultiangleFile, MultiangleColours)
@@ -855,7 +860,7 @@ _STAGES = (
         "readings",
         "readings of instruments beside what the BSDF predicts of them",
         when=_has("measured") & _asked("comparison"),
-        keys=_keys("measured") | StageKeys(("surface.distribution",), (), _fitted_readings),
+        keys=_keys("measured") | StageKeys(("surface.distribution",), (), _fitted_readings) | _doubtful_inputs(),
     ),
     Stage(
         "preview",

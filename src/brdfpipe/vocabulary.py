@@ -416,6 +416,7 @@ QUANTITIES: Mapping[str, Quantity] = {
     "read_u": Quantity("1", "standard uncertainty of a reading", 0),
     "predicted_value": Quantity("1", "what the BSDF predicts of a reading; missing where it does not", missing=True),
     "predicted_u": Quantity("1", "standard uncertainty of it; missing where not known", 0, missing=True),
+    "z_adjusted": Quantity("1", "the same with the inputs that agree best", missing=True),
     "median_ratio": Quantity("1", "median of measured over modelled value over cells and wavelengths", missing=True),
     "rms_z": Quantity("1", "root mean square of z over cells and wavelengths", 0, missing=True),
     "seen_reflectance": Quantity("1", "share of the light that leaves into the directions of the cells used"),
@@ -663,6 +664,11 @@ KINDS: Mapping[str, Kind] = {
     ),
     "readings": Kind(
         {name: [("reading",)] for name in ("read_value", "read_u", "predicted_value", "predicted_u", "z")},
+        optional={
+            "z_adjusted": [("reading",)],
+            **{name: [("input",)] for name in ("prior", "prior_u", "posterior", "posterior_u")},
+            "correlation": [("input", "input_2")],
+        },
         attributes=("verdicts", "units_of_readings", "not_predicted"),
     ),
     "model_error": Kind(

@@ -68,7 +68,7 @@ def test_a_quantity_registered_in_one_place_is_computed_shown_written_and_docume
     assert row["toy_sparkle"] == "12.345"
     html = catalogue_page(catalogue, {})
     assert '<th scope="col">Toy sparkle</th>' in html
-    assert "<td>12.35<td>" in html
+    assert "<td>12.35" in html
     assert "| `toy_sparkle` | Toy sparkle | S | GU | 2 | toy definition of sparkle | Toy standard 1 |" in docs_table()
 
 

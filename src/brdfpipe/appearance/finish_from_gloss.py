@@ -60,8 +60,8 @@ _RULE = apertures.Rule((2, 3), 3)
 _NEAR = 20.0
 """Logarithm of the largest likelihood over one that is still near."""
 
-_WAVELENGTH, _LEAST_INDEX = 550.0, 1.001
-"""At which the index is read [nm], and its smallest value."""
+_WAVELENGTH, _LEAST_INDEX, _INDEX_STEPS = 550.0, 1.001, 41
+"""At which the index is read [nm], its smallest value, and number of indices within three standard uncertainties."""
 
 _UNLIKELY = 1e-5
 """Share of the most likely density below which one is left out."""
@@ -186,10 +186,12 @@ class GlossOfFinishes:
             return [(1.0, np.ones(len(ANGLES)))]
         cosine = np.cos(np.radians(ANGLES))
         nominal = fresnel(cosine, n, k).mean
-        # The nodes of Gauss and Hermite's quadrature of three points.
+        # Close enough that gloss changes by less than its uncertainty from one to the next.
+        steps = np.linspace(-3, 3, _INDEX_STEPS)
+        share = np.exp(-(steps**2) / 2)
         return [
-            (share, fresnel(cosine, max(n + step * n_u, _LEAST_INDEX), k).mean / nominal)
-            for share, step in ((1 / 6, -np.sqrt(3)), (2 / 3, 0.0), (1 / 6, np.sqrt(3)))
+            (float(one), fresnel(cosine, max(n + step * n_u, _LEAST_INDEX), k).mean / nominal)
+            for one, step in zip(share / share.sum(), steps.tolist(), strict=True)
         ]
 
     @property

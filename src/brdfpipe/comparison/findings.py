@@ -22,12 +22,17 @@ _UNINFORMATIVE = 0.8  # posterior over prior uncertainty above which the measure
 _CORRELATED = 0.9  # correlation above which two inputs cannot be separated
 _REFERENCE = 550.0  # wavelength at which an index is quoted [nm]
 
-NAMES = {"index": "refractive index", "slope": "slope scale", "diffuse": "diffuse scale"}
+NAMES = {
+    "index": "refractive index",
+    "slope": "slope scale",
+    "diffuse": "diffuse scale",
+    "finer": "roughness finer than the scan",
+}
 
 
 def with_findings(comparison: xr.Dataset, predicted: xr.Dataset) -> xr.Dataset:
     """A comparison with its findings as the attribute ``findings``, a list in JSON, and its warnings."""
-    findings = [*_agreement(comparison), *_inputs(comparison, predicted), *_correlated_inputs(comparison)]
+    findings = [*_agreement(comparison), *input_findings(comparison, predicted)]
     comparison = comparison.assign_attrs(findings=json.dumps(findings, ensure_ascii=False))
     return vocabulary.add_warning(comparison, *_warnings(comparison, predicted))
 
@@ -58,6 +63,12 @@ def _agreement(comparison: xr.Dataset) -> Iterator[str]:
         yield f"with the inputs below χ² over the degrees of freedom is {after[0]:.3g}: {verdict}"
 
 
+def input_findings(comparison: xr.Dataset, predicted: xr.Dataset) -> Iterator[str]:
+    """Sentences on the inputs that were fitted, of a dataset with ``prior``, ``posterior`` and their uncertainties by ``input``."""
+    yield from _inputs(comparison, predicted)
+    yield from _correlated_inputs(comparison)
+
+
 def _inputs(comparison: xr.Dataset, predicted: xr.Dataset) -> Iterator[str]:
     if "posterior" not in comparison:
         return
@@ -74,6 +85,8 @@ def _inputs(comparison: xr.Dataset, predicted: xr.Dataset) -> Iterator[str]:
 
 
 def _stated(name: str, value: float, u: float, predicted: xr.Dataset) -> str:
+    if name == "finer":
+        return height_words(value, u)
     if name != "index":
         return f"× {plus_minus(value, u)}"
     given = predicted["n"]
@@ -85,7 +98,17 @@ def _stated(name: str, value: float, u: float, predicted: xr.Dataset) -> str:
     return f"{plus_minus(float(given) + value, u)}{at} instead of {float(given):.4g} (shifted by {plus_minus(value, u, '+')})"
 
 
+def height_words(variance: float, u: float) -> str:
+    """An rms height in nm, from a mean square height [um²] of 0 or more and its standard uncertainty."""
+    if variance < _CERTAIN * u:
+        return f"below {1e3 * math.sqrt(variance + 2 * u):.2g} nm rms (95 %)"
+    height = math.sqrt(variance)
+    return f"{plus_minus(1e3 * height, 1e3 * u / (2 * height))} nm rms"
+
+
 def _meaning(name: str, value: float) -> str:
+    if name == "finer":
+        return "gloss is lost to roughness that the scan does not resolve, or to a film or dirt on the surface"
     if name == "index":
         return f"the facets reflect as if the index were {'higher' if value > 0 else 'lower'} than given"
     percent = f"{float(f'{100 * abs(value - 1):.2g}'):g} %"

@@ -16,12 +16,15 @@ import pandas as pd
 import xarray as xr
 
 from brdfpipe import vocabulary
-from brdfpipe.appearance.colours import TOTAL
+from brdfpipe.appearance.colours import TOTAL, colour
 from brdfpipe.appearance.computation import compute_appearance
+from brdfpipe.appearance.gloss_meter import gloss
+from brdfpipe.appearance.haze import reflectance_haze
 from brdfpipe.bsdf.change_variables import NOT_STATED
 from brdfpipe.bsdf.registry import representation
 from brdfpipe.bsdf.source_changes import uncertain
 from brdfpipe.comparison.reading_defaults import LAB_U, REFLECTANCE_HAZE_U, TRANSMITTANCE_U, gloss_u
+from brdfpipe.geometry import Array
 
 WARN_ABOVE, FAIL_ABOVE = 2.0, 3.0
 """|z| of a reading above which its verdict is warn, or fail: 95 and 99.7 % of the readings of a right prediction are below."""
@@ -65,11 +68,11 @@ def _readings(measured: Mapping[str, Any]) -> Iterator[Reading]:
         yield Reading(
             "haze ISO 13803", "GU", measured["reflectance_haze"], u, "haze", "reflectance_haze", {"haze_window": 0}
         )
-    for colour in measured.get("lab", []):
-        seen_under = colour.get("illuminant", "D65"), colour.get("observer", 10)
-        for component, value in zip(_COMPONENTS, colour["lab"], strict=True):
-            title = f"{component} {colour['geometry']}, {seen_under[0]}/{seen_under[1]}°"
-            at = {"geometry": colour["geometry"], "component": component}
+    for entry in measured.get("lab", []):
+        seen_under = entry.get("illuminant", "D65"), entry.get("observer", 10)
+        for component, value in zip(_COMPONENTS, entry["lab"], strict=True):
+            title = f"{component} {entry['geometry']}, {seen_under[0]}/{seen_under[1]}°"
+            at = {"geometry": entry["geometry"], "component": component}
             yield Reading(title, "1", value, stated.get("lab", LAB_U), "colour", "lab", at, seen_under)
     if "transmittance" in measured:
         u = stated.get("transmittance", TRANSMITTANCE_U)
@@ -89,7 +92,7 @@ def compare_readings(bsdf: xr.Dataset, measured: Mapping[str, Any], fitted: Sequ
     Returns
     -------
     Dataset of kind ``readings`` over ``reading``: ``read_value``, ``read_u``, ``predicted_value``, ``predicted_u`` (NaN where it is not known) and ``z``,
-    read less predicted over the uncertainty of both. Attributes ``units``, ``not_predicted`` (reasons by reading, JSON) and ``verdicts``
+    read less predicted over the uncertainty of both. Attributes ``units_of_readings``, ``not_predicted`` (reasons by reading, JSON) and ``verdicts``
 
     Raises
     ------
@@ -116,6 +119,7 @@ def compare_readings(bsdf: xr.Dataset, measured: Mapping[str, Any], fitted: Sequ
             "units_of_readings": json.dumps([reading.unit for reading in readings]),
             "fitted": json.dumps(list(fitted), ensure_ascii=False),
             "not_predicted": json.dumps(reasons, ensure_ascii=False),
+            "findings": "[]",
             NOT_STATED: str(bsdf.attrs.get(NOT_STATED, "" if uncertain(bsdf) else "all inputs")),
             **{name: str(measured[name]) for name in ("instrument", "date") if name in measured},
         },
@@ -144,6 +148,34 @@ def _predicted(bsdf: xr.Dataset, readings: Sequence[Reading]) -> dict[str, tuple
         )
         for reading in group:
             found[reading.title] = _one(appearance, bsdf, reading)
+    return found
+
+
+def predicted_values(bsdf: xr.Dataset, readings: Sequence[Reading]) -> Array:
+    """What a BSDF predicts of gloss, haze and colours, (readings,), without uncertainties; other readings are NaN."""
+    angles = sorted({20.0, 60.0} | {one.at["gloss_angle"] for one in readings if "gloss_angle" in one.at})
+    units = dict(zip(angles, gloss(bsdf, angles).values.tolist(), strict=True))
+    beside = float(reflectance_haze(bsdf)[0]) if any(one.part == "haze" for one in readings) else math.nan
+    labs = {
+        seen_under: colour(bsdf, [one for one in names if one != TOTAL], *seen_under)
+        for seen_under, names in _geometries(readings).items()
+    }
+    values = []
+    for one in readings:
+        if one.part == "colour":
+            values.append(_at(xr.Dataset({"lab": labs[one.seen_under]}), "lab", one.at))
+        else:
+            known = {"gloss": units.get(one.at.get("gloss_angle"), math.nan), "haze": units[60.0] - units[20.0]}
+            values.append((known | {"reflectance_haze": beside}).get(one.variable, math.nan))
+    return np.array(values)
+
+
+def _geometries(readings: Sequence[Reading]) -> dict[tuple[str, int], list[str]]:
+    """Names of the geometries of colours by illuminant and observer."""
+    found: dict[tuple[str, int], list[str]] = {}
+    for one in readings:
+        if "geometry" in one.at and one.at["geometry"] not in found.setdefault(one.seen_under, []):
+            found[one.seen_under].append(one.at["geometry"])
     return found
 
 

@@ -9,6 +9,8 @@ from collections.abc import Mapping
 import xarray as xr
 
 from brdfpipe.bsdf.change_variables import NOT_STATED
+from brdfpipe.comparison import findings
+from brdfpipe.comparison.findings import height_words, plus_minus
 from brdfpipe.comparison.readings import FAIL_ABOVE, WARN_ABOVE
 from brdfpipe.report.cards import Section, Table
 from brdfpipe.report.formatting import STANDARD, fixed, number, value_with_u
@@ -19,6 +21,7 @@ def readings_section(datasets: Mapping[str, xr.Dataset]) -> Section:
     section = Section("Readings")
     if (readings := datasets.get("readings")) is not None:
         section.tables.append(_table(readings))
+        section.tables += filter(None, [_input_table(readings)])
     return section
 
 
@@ -39,7 +42,34 @@ def _table(readings: xr.Dataset) -> Table:
         )
     notes += [f"{name} is not predicted: {reason}" for name, reason in reasons.items()]
     title = f"Readings of instruments and predictions ({STANDARD})"
-    return Table(title, ("Reading", "Read", "Predicted", "Read − predicted", "z"), rows, " ".join(notes))
+    adjusted = ("z with the inputs below",) if "z_adjusted" in readings else ()
+    if "posterior" not in readings:
+        notes += [f"{text.removesuffix('.')}." for text in findings.sentences(readings)]
+    header = ("Reading", "Read", "Predicted", "Read − predicted", "z", *adjusted)
+    return Table(title, header, rows, " ".join(notes))
+
+
+def _input_table(readings: xr.Dataset) -> Table | None:
+    """The inputs that would agree with the readings; None where nothing was fitted."""
+    if "posterior" not in readings:
+        return None
+    rows = []
+    for name in map(str, readings["input"].values):
+        one = readings.sel(input=name)
+        before, before_u, after, after_u = (
+            float(one[part]) for part in ("prior", "prior_u", "posterior", "posterior_u")
+        )
+        title = findings.NAMES[name]
+        if name == "finer":
+            words = height_words(before, before_u), height_words(after, after_u)
+        else:
+            sign = "+" if name == "index" else ""
+            words = plus_minus(before, before_u, sign), plus_minus(after, after_u, sign)
+        rows.append((title[:1].upper() + title[1:], *words))
+    sentences = findings.sentences(readings)
+    note = " ".join(f"{text[:1].upper()}{text[1:]}." for text in sentences)
+    title = f"Inputs that would agree with the readings ({STANDARD}); not applied"
+    return Table(title, ("Input", "As given", "As the readings ask"), rows, note)
 
 
 def _row(one: xr.Dataset, unit: str) -> tuple[str, ...]:
@@ -54,4 +84,5 @@ def _row(one: xr.Dataset, unit: str) -> tuple[str, ...]:
         value_with_u(predicted, predicted_u, decimals) if known else "–",
         fixed(read - predicted, decimals) if known else "–",
         number(z, 2) if known else "–",
+        *([number(float(one["z_adjusted"]), 2)] if "z_adjusted" in one else []),
     )
