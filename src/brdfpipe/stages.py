@@ -15,7 +15,7 @@ from pathlib import PurePath
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from brdfpipe.catalogue.calibration_keys import EmulatedCalibration
-from brdfpipe.catalogue.material import ROUTES
+from brdfpipe.catalogue.material import ROUTES, unused_keys
 from brdfpipe.catalogue.material_keys import (
     MEASURED_GLOSS,
     BeckmannSurface,
@@ -472,7 +472,12 @@ def _interior(subject: Subject, wildcards: Wildcards) -> dict[str, Any]:
 
 
 def _page_parameters(subject: Subject, wildcards: Wildcards) -> dict[str, Any]:
-    return _row_parameters(subject, wildcards) | {"exports": sorted(subject.exports)}
+    unused = unused_keys(subject.owner.content)
+    return (
+        _row_parameters(subject, wildcards)
+        | {"exports": sorted(subject.exports)}
+        | ({"unused": unused} if unused else {})
+    )
 
 
 def _row_parameters(subject: Subject, wildcards: Wildcards) -> dict[str, Any]:

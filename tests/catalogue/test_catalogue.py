@@ -13,6 +13,7 @@ import pytest
 from brdfpipe import catalogue
 from brdfpipe.catalogue import material_keys
 from brdfpipe.catalogue.config_keys import Config
+from brdfpipe.catalogue.material import unused_keys
 from brdfpipe.comparison.measured_predicted import PRIOR_U
 from brdfpipe.descriptions import reading
 from brdfpipe.descriptions.keys import Keys, case_folded
@@ -576,6 +577,24 @@ def test_colours_at_several_geometries_are_a_material_and_their_own_route(tmp_pa
     assert set(loaded.spec("m", "multiangle")) == {"colours", "illuminant", "observer"}
     assert catalogue.summary_words(loaded["m"]) == ["multiangle 3 colours"]
     catalogue.check_formats(loaded["m"])
+
+
+@pytest.mark.parametrize(
+    ("text", "unused"),
+    [
+        (f"{COLOUR}surface: {{distribution: ggx, a: 0.1}}\nindex: 1.5\nmodel: {{optics: facets}}\n", []),
+        (COLOUR + "index: 1.5\n", []),
+        (COLOUR + "model: {optics: facets}\n", ["model"]),
+        ("multiangle: {file: c.csv, illuminant: D65, observer: 10}\nindex: 1.5\n", ["index"]),
+        (COLOUR + "multiangle: {file: c.csv, illuminant: D65, observer: 10}\n", ["spectrum"]),
+    ],
+)
+def test_a_key_that_nothing_uses_is_named(tmp_path: Path, text: str, unused: list[str]) -> None:
+    write(tmp_path, "m", text, c_csv="x")
+    loaded = catalogue.load(tmp_path)
+    found = unused_keys(loaded["m"].content)
+    assert list(found) == unused
+    assert loaded.spec("m", "report").get("unused", {}) == found
 
 
 def test_a_file_of_colours_at_several_geometries_is_a_raw_file(tmp_path: Path) -> None:

@@ -111,6 +111,26 @@ def raw_files(content: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
         yield f"surface-{number}", "surface.scans", scan["file"]
 
 
+def unused_keys(content: Mapping[str, Any]) -> dict[str, str]:
+    """Keys of a description that nothing uses → why; those of a prediction beside another route that has none."""
+    route = next((part for part, _ in ROUTES if part in content), None)
+    # A rig's reflection is compared with the prediction of its surface.
+    predicts = route is None or (route == "rig" and "surface" in content)
+    unused = {}
+    if not predicts:
+        why = f"the BRDF is that of `{route}`"
+        given = ("surface", "index", "index_uncertainty", "slab", "spectrum")
+        unused = {key: why for key in given if key in content}
+        if content.get("model"):
+            unused["model"] = why
+    elif "surface" not in content and content.get("model"):
+        # The index still serves the recovery of a spectrum from a colour.
+        unused["model"] = "a body without `surface` is a perfect diffuser"
+    if route == "rig" and "multiangle" in content:
+        unused["multiangle"] = "the BRDF is that of `rig`"
+    return unused
+
+
 def start_material(folder: Path, name: str) -> Path:
     """Write a commented description of a new material, beside raw files that are already there; return its path.
 

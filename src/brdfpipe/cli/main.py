@@ -137,7 +137,7 @@ def check(catalogue: Path, config: Path | None, scene: str | None, reads: bool) 
     from brdfpipe.catalogue.catalogue import ignored, load
     from brdfpipe.catalogue.configuration import load_config
     from brdfpipe.catalogue.format_checks import check_formats
-    from brdfpipe.catalogue.material import summary_words
+    from brdfpipe.catalogue.material import summary_words, unused_keys
     from brdfpipe.catalogue.raw_reading import describe_files
     from brdfpipe.jobs.runs import planned_runs
     from brdfpipe.jobs.scene_notices import scene_notices
@@ -154,7 +154,8 @@ def check(catalogue: Path, config: Path | None, scene: str | None, reads: bool) 
         except BrdfpipeError as refusal:
             problems[material.name] = str(refusal)
         else:
-            summaries[material.name] = f"ok ({', '.join(summary_words(material))})"
+            unused = "".join(f"; `{key}` is not used: {why}" for key, why in unused_keys(material.content).items())
+            summaries[material.name] = f"ok ({', '.join(summary_words(material))}){unused}"
     for name, message in sorted({**problems, **summaries}.items()):
         click.echo(f"{name}: {message}")
         for line in contents.get(name, ()):

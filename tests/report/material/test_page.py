@@ -219,6 +219,11 @@ def test_an_assumed_finish_is_called_assumed(full: Datasets) -> None:
     assert "assumed (analytic beckmann, a = 0.2)" in text
 
 
+def test_a_key_that_nothing_uses_is_among_the_limits(full: Datasets, without_bsdf_figures: None) -> None:
+    page = material_page(full, unused={"index": "the BRDF is that of `multiangle`"})
+    assert "<code>index</code> of material.yaml is not used: the BRDF is that of <code>multiangle</code>." in page
+
+
 def test_a_full_material_has_no_limits(full_page: str) -> None:
     assert 'id="limits"' not in full_page
 

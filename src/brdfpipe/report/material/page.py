@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
+from types import MappingProxyType
 
 import xarray as xr
 
@@ -40,6 +41,7 @@ def material_page(
     description: str = "",
     exports: Collection[str] = (),
     accepted: Acceptances = (),
+    unused: Mapping[str, str] = MappingProxyType({}),
 ) -> str:
     """The report of one material, one self-contained HTML file.
 
@@ -49,6 +51,7 @@ def material_page(
     description : of the material, by its user; untrusted, shown as text
     exports : names of the formats in :data:`brdfpipe.exchange.registry.FORMATS` in which the material was exported
     accepted : warnings that the description accepts
+    unused : keys of the description that nothing uses, and why
 
     Returns
     -------
@@ -99,7 +102,7 @@ def material_page(
         plus_minus=any("±" in fact.value for fact in facts),
         validity=conditions,
         validity_note=_validity_note(known) if conditions else _no_conditions(known),
-        limits=limits(known),
+        limits=[*limits(known), *(f"`{key}` of material.yaml is not used: {why}." for key, why in unused.items())],
         warnings=[
             (stage_title(known, stage), text, reason_to_accept(text, accepted)) for stage, text in stage_warnings(known)
         ],
