@@ -181,6 +181,9 @@ QUANTITIES: Mapping[str, Quantity] = {
     "visibility_limit": Quantity("1", "factor of either direction that keeps perfect mirrors from gaining light", 0, 1),
     # Spectrum and index
     "total_reflectance": Quantity("1", "total (diffuse and specular) reflectance", 0),
+    "specular_excluded_reflectance": Quantity(
+        "1", "total reflectance with the specular component excluded", 0, missing=True
+    ),
     "n": Quantity("1", "real part of the refractive index", 0),
     "k": Quantity("1", "imaginary part of the refractive index (extinction coefficient)", 0),
     "internal_transmittance": Quantity(
@@ -586,7 +589,10 @@ KINDS: Mapping[str, Kind] = {
     ),
     "spectrum": Kind(
         {"total_reflectance": [("wavelength",)]},
-        optional={"total_reflectance_u": [("wavelength",)]},
+        optional={
+            name: [("wavelength",)]
+            for name in ("total_reflectance_u", "specular_excluded_reflectance", "specular_excluded_reflectance_u")
+        },
         attributes=("geometry", "theta_i", "method"),
     ),
     "index": Kind(

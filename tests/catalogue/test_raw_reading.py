@@ -82,6 +82,24 @@ def test_a_warning_of_a_reader_is_a_line(tmp_path: Path) -> None:
     assert any(text.startswith("  warning: 0.35 at 500 nm differs") for text in describe_files(loaded, loaded["m"]))
 
 
+def test_two_spectra_of_a_sample_are_read_together_and_refused_with_their_own_keys(tmp_path: Path) -> None:
+    text = "spectrum: {sci: {file: i.csv}, sce: {file: e.csv}}\n"
+    excluded = "nm;R [%]\n" + "".join(f"{nm};{16 + nm / 100:.2f}\n" for nm in range(400, 701, 20))
+    material(tmp_path, "m", text, i__csv=SPECTRUM, e__csv=excluded)
+    loaded = load(tmp_path)
+    assert loaded.failures == {}
+    lines = describe_files(loaded, loaded["m"])
+    assert lines[0].startswith("i.csv: total (diffuse and specular) reflectance from 0.24 to 0.27 at 16 wavelengths")
+    assert "  SCE: percent was converted to a fraction" in lines
+    done = CliRunner().invoke(cli.main, ["check", str(tmp_path), "--read"])
+    assert done.output.startswith("m: ok (spectrum i.csv and e.csv)")
+    (tmp_path / "m" / "e.csv").write_text(excluded.replace("R [%]", "T [%]"))
+    with pytest.raises(InputError, match=r"not a reflectance.*`spectrum\.sce\.column`"):
+        describe_files(loaded, loaded["m"])
+    (tmp_path / "m" / "material.yaml").write_text("spectrum: {sci: {file: i.csv}}\n")
+    assert "the key 'sce' is missing" in load(tmp_path).failures["m"]
+
+
 def wrong_catalogue(folder: Path, tmp_path: Path) -> None:
     """Materials whose mistake only the content of a raw file shows."""
     surface, index = x3p(tmp_path), "index: PP\n"

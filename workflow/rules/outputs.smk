@@ -43,7 +43,7 @@ use rule stage_template as planned with:
 
 use rule stage_template as checks with:
     input:
-        **results_of("bsdf"),
+        **results_of("bsdf", "spectrum"),
     output:
         checks="{scene}{material}/checks.nc",
 

@@ -83,6 +83,7 @@ use rule stage_template as spectrum with:
     input:
         **results_of("index"),
         raw=raw_file("spectrum"),
+        excluded=raw_file("spectrum_sce"),
     output:
         spectrum="{material}/spectrum.nc",
 

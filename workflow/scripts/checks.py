@@ -3,10 +3,12 @@ from brdfpipe.bsdf import checks
 
 
 def main(input, output, params):
-    """Reciprocity, energy and closure of a BRDF."""
-    bsdf = store.shared_dataset(input["bsdf"], "bsdf")
+    """Reciprocity, energy and closure of a BRDF, and its mirrored light beside that of two spectra."""
+    inputs = {"bsdf": store.shared_dataset(input["bsdf"], "bsdf")}
+    if "spectrum" in input:
+        inputs["spectrum"] = store.open_dataset(input["spectrum"], "spectrum")
     store.save_dataset(
-        checks.check(bsdf), output["checks"], stage="checks", material=params["material"], inputs={"bsdf": bsdf}
+        checks.check(**inputs), output["checks"], stage="checks", material=params["material"], inputs=inputs
     )
 
 

@@ -6,11 +6,12 @@ from brdfpipe.spectra.ingestion import ingest
 
 def main(input, output, params):
     """Total reflectance spectrum: measured, or recovered from a colour."""
-    inputs = {name: Path(path) for name, path in input.items() if name == "raw"}
+    inputs = {name: Path(path) for name, path in input.items() if name != "index"}
     if "index" in input:
         inputs["index"] = store.open_dataset(input["index"], "index")
     search = Path(output["spectrum"]).with_name("spectrum.search.json")
-    spectrum = ingest(params["spec"], inputs.get("raw"), inputs.get("index"), checkpoint=search)
+    files = {"path": inputs.get("raw"), "excluded": inputs.get("excluded")}
+    spectrum = ingest(params["spec"], index=inputs.get("index"), checkpoint=search, **files)
     store.save_dataset(
         spectrum,
         output["spectrum"],

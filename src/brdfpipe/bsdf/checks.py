@@ -9,6 +9,7 @@ import numpy as np
 import xarray as xr
 
 from brdfpipe import hemisphere, vocabulary
+from brdfpipe.bsdf import specular_difference
 from brdfpipe.bsdf.base import Representation
 from brdfpipe.bsdf.grids import Angles, from_mirror
 from brdfpipe.bsdf.registry import representation
@@ -57,12 +58,14 @@ class _Residual(NamedTuple):
     where: str
 
 
-def check(bsdf: xr.Dataset) -> xr.Dataset:
+def check(bsdf: xr.Dataset, spectrum: xr.Dataset | None = None) -> xr.Dataset:
     """Check a BSDF. A violated law is a verdict, not an error.
 
     Parameters
     ----------
     bsdf : kind ``bsdf``
+    spectrum : kind ``spectrum``; where it has the reflectance with the specular component excluded too, their difference is compared with
+        the light that the BSDF mirrors
 
     Returns
     -------
@@ -123,8 +126,10 @@ def check(bsdf: xr.Dataset) -> xr.Dataset:
     )
     if model.transmits:
         result["transmittance"] = azimuthal_mean(fixed.transmittance)
-    verdicts = _verdicts(result, residuals, model).items()
-    described = {name: {"verdict": verdict, "text": text} for name, (verdict, text) in verdicts}
+    verdicts = _verdicts(result, residuals, model)
+    if spectrum is not None and (found := specular_difference.compare(bsdf, spectrum)) is not None:
+        verdicts["specular_difference"] = specular_difference.verdict(found)
+    described = {name: {"verdict": verdict, "text": text} for name, (verdict, text) in verdicts.items()}
     result.attrs["verdicts"] = json.dumps(described, ensure_ascii=False)
     return vocabulary.label(result, "checks")
 

@@ -29,7 +29,8 @@ def check_formats(material: Material) -> None:
     from brdfpipe.surfaces.reading import check_readable
     from brdfpipe.surfaces.selection import PICTURES
 
-    suffixes = {"spectrum": extensions(SPECTRUM_FORMATS), "index": tuple(index.READERS), "mask": PICTURES}
+    spectra = extensions(SPECTRUM_FORMATS)
+    suffixes = {"spectrum": spectra, "spectrum_sce": spectra, "index": tuple(index.READERS), "mask": PICTURES}
     surface_suffixes = extensions(SURFACE_FORMATS)
     content = material.content
     for part, key, _ in raw_files(content):
@@ -41,6 +42,8 @@ def check_formats(material: Material) -> None:
             format_of(path, content["table"].get("format"))
             continue
         block = content["slab"]["back"] if part == "back_surface" else content.get(part.partition("-")[0], {})
+        if key.startswith("spectrum."):
+            block = content["spectrum"][key.partition(".")[2]]
         if part.startswith("surface-"):
             scan = content["surface"]["scans"][int(part.partition("-")[2]) - 2]
             alike = path.suffix.lower() == material.files["surface"].suffix.lower()

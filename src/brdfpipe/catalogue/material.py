@@ -33,7 +33,7 @@ class Material:
     folder: Path
     content: Mapping[str, Any]
     files: Mapping[str, Path]
-    """Part of the description (surface, mask, index, spectrum, back_surface, interior; surface-2 … for further scans; rig) → raw file."""
+    """Part of the description (surface, mask, index, spectrum, spectrum_sce, back_surface, interior; surface-2 … for further scans; rig) → raw file."""
     scene: Scene
     """What its results are for."""
 
@@ -102,6 +102,8 @@ def raw_files(content: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
     slab = content.get("slab", {})
     holders = [(part, part, content.get(part)) for part in FILE_PARTS]
     holders += [("back_surface", "slab.back", slab.get("back"))]
+    pair = content.get("spectrum", {})
+    holders += [("spectrum", "spectrum.sci", pair.get("sci")), ("spectrum_sce", "spectrum.sce", pair.get("sce"))]
     holders += [("mask", "surface.mask", content.get("surface", {}).get("mask"))]
     holders += [("interior", f"slab.{key}", slab.get(key)) for key in INTERIOR]
     for part, key, holder in holders:
@@ -166,6 +168,8 @@ def _part_words(part: str, content: Any) -> str:
         return f"rig run {content['run']}" if "run" in content else f"rig emulated with {content['emulate']['truth']}"
     if "k" in content:
         return f"{part} {content['n']:g} + {content['k']:g}i"
+    if "sci" in content:
+        return f"{part} {content['sci']['file']} and {content['sce']['file']}"
     if "colours" in content:
         return f"{part} {len(content['colours'])} colours"
     return f"{part} " + ("L*a*b*" if "lab" in content else str(content.get("file") or content.get("distribution")))

@@ -590,7 +590,52 @@ class Colour(Keys):
         return self
 
 
-Spectrum = Annotated[MeasuredSpectrum | Colour, Choice(by_key("file", "lab"), (("file", "lab"),))]
+class SpectrumOfPair(Keys):
+    """One of two measurements of a sample, with the specular component included or excluded."""
+
+    file: str = _file("the total reflectance", details="See [formats](#formats-of-spectra).")
+    incidence: float = _incidence()
+    format: Annotated[str, OneOf(_spectrum_formats)] = key("how the file is written", default_words="by the extension")
+    scale: Scale = _scale()
+    sample: ColumnName = key("as `spectrum.sample`")
+    column: ColumnName = key("as `spectrum.column`")
+    uncertainty: ColumnName = key("as `spectrum.uncertainty`")
+    allow_fluorescent: bool = key("as `spectrum.allow_fluorescent`", default=False)
+
+
+class SpectrumPair(Keys):
+    """Total reflectances of one sample with the specular component included and excluded."""
+
+    sci: SpectrumOfPair = key(
+        "with the specular component included {file, …}, which the BRDF keeps",
+        required=True,
+        default_words="instead of `file`, with `sce`",
+        details="See [both together](#specular-included-and-excluded).",
+    )
+    sce: SpectrumOfPair = key(
+        "with the specular component excluded {file, …}, whose difference is compared with the mirrored light",
+        required=True,
+        default_words="with `sci`",
+    )
+    specular_trap: float = key(
+        "as `spectrum.specular_trap`, of the measurement with the specular component excluded",
+        unit="degree",
+        default_words="5",
+        gt=0,
+        le=90,
+    )
+    reflectance_uncertainty: float = _reflectance_uncertainty()
+
+
+def _spectrum_form(spectrum: Any) -> int:
+    pair = isinstance(spectrum, Mapping) and ("sci" in spectrum or "sce" in spectrum) and "file" not in spectrum
+    return 2 if pair else by_key("file", "lab")(spectrum)
+
+
+Spectrum = Annotated[
+    MeasuredSpectrum | Colour | SpectrumPair,
+    Choice(_spectrum_form, (("file", "lab"), ("file", "sci"), ("file", "sce"), ("lab", "sci"), ("lab", "sce"))),
+]
 
 
 # --- multiangle

@@ -34,12 +34,13 @@ def describe_files(catalogue: Catalogue, material: Material) -> list[str]:
     lines: list[str] = []
     scans: list[xr.Dataset] = []
     for part, path in material.files.items():
-        if part in ("rig", "mask"):  # frames; a picture is read with its map
+        if part in ("rig", "mask", "spectrum_sce"):  # frames; the others are read with their map or spectrum
             continue
         name, _, number = part.partition("-")
         stage = STAGES[_READ_BY.get(name, "scan" if number else name)]
         spec = stage.parameters(Subject(material, catalogue.config), {"scan": number} if number else {})
-        dataset = _read(name, path, spec, None if number else material.files.get("mask"))
+        beside = material.files.get({"surface": "mask", "spectrum": "spectrum_sce"}.get(part, ""))
+        dataset = _read(name, path, spec, beside)
         lines += _words(path, name, dataset)
         if name == "surface":
             scans.append(dataset)
@@ -48,7 +49,7 @@ def describe_files(catalogue: Catalogue, material: Material) -> list[str]:
     return lines
 
 
-def _read(part: str, path: Path, spec: dict[str, Any], picture: Path | None) -> xr.Dataset:
+def _read(part: str, path: Path, spec: dict[str, Any], beside: Path | None) -> xr.Dataset:
     """The dataset of a file, by the function of the stage that reads it."""
     from brdfpipe.exchange.reading import read as read_table
     from brdfpipe.flakes.reading import ingest as read_colours
@@ -62,13 +63,13 @@ def _read(part: str, path: Path, spec: dict[str, Any], picture: Path | None) -> 
     if part == "table":
         return read_table(path, **spec)
     if part == "spectrum":
-        return read_spectrum(spec, path)
+        return read_spectrum(spec, path, excluded=beside)
     if part == "interior":
         return read_interior(spec, path)
     if part == "multiangle":
         return read_colours(spec, path)
     try:
-        return read_surface(path, spec, picture if part == "surface" else None)
+        return read_surface(path, spec, beside)
     except InputError as refusal:
         if part != "back_surface":
             raise

@@ -7,6 +7,7 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import xarray as xr
 
 from brdfpipe import vocabulary
@@ -14,6 +15,8 @@ from brdfpipe.errors import InputError
 from brdfpipe.spectra.readers import check_geometry, check_incidence, read_spectrum
 from brdfpipe.spectra.recovery import index_words, recover, specular_reflectance
 
+_MOST_EXCESS = 0.005
+"""Share of the light that SCE may exceed SCI by: the repeatability of two measurements of a matt sample."""
 _LOWEST_INDEX = 1.45
 """Below the index of every named plastic: a smooth surface that reflects less was measured with the specular excluded."""
 
@@ -23,6 +26,7 @@ def ingest(
     path: str | PathLike[str] | None = None,
     index: float | xr.Dataset | None = None,
     checkpoint: Path | None = None,
+    excluded: str | PathLike[str] | None = None,
 ) -> xr.Dataset:
     """Total reflectance of a material from the ``spectrum`` section of its material.yaml.
 
@@ -30,21 +34,25 @@ def ingest(
     ----------
     spec : ``file`` and the keywords of :func:`read_spectrum`; or ``lab``, ``geometry``, ``incidence`` and the keywords ``illuminant``,
         ``observer``, ``method``, ``threshold``, ``seed`` of :func:`recover`. With the specular excluded, ``specular_trap`` is the half
-        angle of the instrument's gloss trap [degree]; ``reflectance_uncertainty`` is a standard uncertainty common to all wavelengths [1]
+        angle of the instrument's gloss trap [degree]; ``reflectance_uncertainty`` is a standard uncertainty common to all wavelengths [1].
+        Or ``sci`` and ``sce``, each with ``file`` and keywords: the sample with the specular component included and excluded
     path : path of the file, if it differs from the name in ``spec``
     index : refractive index, if known: a number or a dataset of kind ``index``. A colour with the specular included then gives a
         spectrum that contains its Fresnel reflectance; a file with less than it is warned about
     checkpoint : file with the state of a random search, to resume from
+    excluded : path of the file of ``sce``, as ``path`` is that of ``sci``
 
     Returns
     -------
-    Dataset of kind ``spectrum``
+    Dataset of kind ``spectrum``; of two files that of ``sci``, with ``specular_excluded_reflectance`` at its wavelengths beside it
 
     Raises
     ------
     InputError : both or neither of ``file`` and ``lab``; as :func:`read_spectrum` and :func:`recover`.
     TypeError : an unknown or missing keyword.
     """
+    if "sci" in spec:
+        return _pair(spec, path, excluded, index)
     if ("file" in spec) == ("lab" in spec):
         raise _refusal("either `file` or `lab` is required", None, "file: … or lab: [L*, a*, b*]", "spectrum")
     options = dict(spec)
@@ -61,6 +69,47 @@ def ingest(
     return vocabulary.label(
         dataset.assign(total_reflectance_u=xr.full_like(dataset["total_reflectance"], u).drop_attrs()), "spectrum"
     )
+
+
+def _pair(
+    spec: Mapping[str, Any],
+    path: str | PathLike[str] | None,
+    excluded: str | PathLike[str] | None,
+    index: float | xr.Dataset | None,
+) -> xr.Dataset:
+    """The spectrum with the specular component included, and beside it the one with it excluded."""
+    common = {key: spec[key] for key in ("reflectance_uncertainty",) if key in spec}
+    parts = {}
+    for geometry, file in (("sci", path), ("sce", excluded)):
+        try:
+            parts[geometry] = ingest({**spec[geometry], **common, "geometry": geometry}, file, index)
+        except InputError as refusal:
+            key = refusal.key and refusal.key.replace("spectrum.", f"spectrum.{geometry}.", 1)
+            raise InputError(**(vars(refusal) | {"key": key})) from None
+    included, without = parts["sci"], parts["sce"]
+    nm = included["wavelength"].values
+    ends = {"left": np.nan, "right": np.nan}
+    values = {
+        name.replace("total", "specular_excluded"): (
+            "wavelength",
+            np.interp(nm, without["wavelength"], without[name], **ends),
+        )
+        for name in ("total_reflectance", "total_reflectance_u")
+        if name in without
+    }
+    both = included.assign(values)
+    excess = float((both["specular_excluded_reflectance"] - both["total_reflectance"]).mean())
+    if excess > _MOST_EXCESS:
+        raise _refusal(
+            "more light with the specular component excluded than with it included",
+            f"{excess:.3g} of the light more",
+            "sci and sce of one sample, not interchanged",
+            "spectrum",
+        )
+    both = both.assign_attrs(_trap_attribute(spec.get("specular_trap"), "sce"))
+    history = [f"SCE: {line}" for line in without.attrs.get("history", "").splitlines() if line]
+    both = vocabulary.add_history(vocabulary.label(both, "spectrum"), *history)
+    return vocabulary.add_warning(both, *vocabulary.warnings(without))
 
 
 def _ingested(
