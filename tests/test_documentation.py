@@ -63,6 +63,12 @@ def test_the_examples_of_a_paint_run() -> None:
     assert run("docs/materials.md", {"bsdf": paint(0.0), "other": paint(2.0)})
 
 
+def test_the_examples_of_the_model_run() -> None:
+    names: dict[str, object] = {}
+    assert run("docs/model.md", names)
+    assert names["lacquer"].attrs["representation"] == "coated"  # type: ignore[attr-defined]
+
+
 def commands(page: Path) -> list[list[str]]:
     """The words of the commands ``brdfpipe convert``, ``compare`` and ``formats`` in the blocks of a page."""
     blocks = re.findall(r"^```sh\n(.*?)^```$", page.read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL)

@@ -227,6 +227,17 @@ QUANTITIES: Mapping[str, Quantity] = {
         "1", "what an uncertain input adds to the logarithm of the light that has been inside a slab"
     ),
     "shift_low": Quantity("degree", "smaller of two polar angles, each from its own face", 0, 90),
+    "node_weight": Quantity("1", "weight of a node of the table of a coated body at a wavelength"),
+    "faces_reflectance": Quantity(
+        "1", "directional reflectance of the faces of a coated body, without light from its body"
+    ),
+    "faces_specular": Quantity("1", "share of it that is mirrored into one direction"),
+    "body_share": Quantity(
+        "1", "light that enters the body below a coat, over the root of the étendue of its direction"
+    ),
+    "body_weight": Quantity(
+        "1", "light of the body below a coat: the BRDF is the product of two body_share times it over 2π", 0
+    ),
     "lobe_scale": Quantity("degree", "width up to which the table of a slab counts distances evenly", 0),
     "index_node": Quantity("1", "refractive index at which a slab is tabulated", 1),
     "wavelength_node": Quantity("nm", "wavelength at which a slab with waves is tabulated", 100, 20000),

@@ -96,7 +96,7 @@ def test_an_unknown_representation_is_refused_with_the_accepted_ones(tmp_path):
     # `vocabulary.validate` accepts it: a stage that passes a BSDF on does not import its representation.
     bsdf = vocabulary.validate(samples.beckmann_bsdf().assign_attrs(representation="magic"), "bsdf")
     store.save_dataset(bsdf, tmp_path / "bsdf.nc", stage="bsdf", material="magic")
-    message = "unknown representation 'magic' of a BSDF; accepted: flake, kirchhoff, lambert_gauss, rig, microfacet, slab, smooth, table, traced"
+    message = "unknown representation 'magic' of a BSDF; accepted: coated, flake, kirchhoff, lambert_gauss, rig, microfacet, slab, smooth, table, traced"
     for use in (
         lambda: brdfpipe.open_dataset(tmp_path / "bsdf.nc"),
         lambda: bsdf.bsdf.evaluate(*AT),

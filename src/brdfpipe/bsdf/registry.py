@@ -10,6 +10,7 @@ from typing import NamedTuple
 import xarray as xr
 
 from brdfpipe.bsdf.base import Representation
+from brdfpipe.bsdf.representations.coated import Coated
 from brdfpipe.bsdf.representations.flake import Flake
 from brdfpipe.bsdf.representations.kirchhoff import Kirchhoff
 from brdfpipe.bsdf.representations.lambert_gauss import LambertGauss
@@ -23,7 +24,7 @@ from brdfpipe.errors import VocabularyError
 
 REPRESENTATIONS: dict[str, type[Representation]] = {
     kind.name: kind
-    for kind in (Flake, Kirchhoff, LambertGauss, Measured, Microfacet, Slab, Smooth, Table, Traced, Wave)
+    for kind in (Coated, Flake, Kirchhoff, LambertGauss, Measured, Microfacet, Slab, Smooth, Table, Traced, Wave)
 }
 """Class by value of the attribute ``representation``."""
 

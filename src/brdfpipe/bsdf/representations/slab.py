@@ -316,7 +316,7 @@ def _surface(bsdf: xr.Dataset, side: str) -> Microsurface | Wave | Microfacet | 
 def node_weights(bsdf: xr.Dataset, wavelength: Array | None) -> tuple[Array, Array]:
     """Index (wavelength or 1,), and weights (wavelength or 1, nodes) of the nodes of index or wavelength, and transmittance."""
     n, inside = (np.atleast_1d(at_wavelengths(bsdf[name], wavelength)) for name in ("n", "internal_transmittance"))
-    by_depth = _depth_weights(bsdf["depth_node"].values, inside)
+    by_depth = depth_weights(bsdf["depth_node"].values, inside)
     weights = first_weights(bsdf, n, wavelength)[:, :, None] * by_depth[:, None, :]
     return n, weights.reshape(weights.shape[0], -1)
 
@@ -342,7 +342,7 @@ def root_depth(transmittance: Array) -> Array:
     return np.sqrt(-np.log(np.clip(transmittance, _BLACK, 1.0)))
 
 
-def _depth_weights(nodes: Array, transmittance: Array) -> Array:
+def depth_weights(nodes: Array, transmittance: Array) -> Array:
     depth = root_depth(transmittance)
     if nodes.size == 1:
         return np.ones((depth.size, 1))

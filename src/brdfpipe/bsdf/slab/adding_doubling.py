@@ -83,7 +83,7 @@ def scattered(sheet: Sheet, modes: Array, transmittances: Array, components: int
         if equal:
             # The two faces differ by a turn-over, so each crossing is the same factor of the series.
             crossing = r_front * (turned * passage)
-            odd, even = (_solved(sign * crossing, t_front) for sign in (1.0, -1.0))
+            odd, even = (solved(sign * crossing, t_front) for sign in (1.0, -1.0))
             down, up = (odd + even) / 2, (odd - even) / 2 * turned[:, None]
             leaves = np.swapaxes(t_front, -1, -2) * (reversed_ * passage)
             to_front = leaves @ up
@@ -93,7 +93,7 @@ def scattered(sheet: Sheet, modes: Array, transmittances: Array, components: int
         leaves_front, leaves_back = (np.swapaxes(t, -1, -2) * (reversed_ * passage) for t in (t_front, t_back))
         straight = sheet.front.is_smooth, sheet.back.is_smooth
         returned, entering = (_product(above, part, size, *straight) for part in (below, t_back))
-        both = _solved(returned, np.concatenate([t_front, entering], axis=-1))
+        both = solved(returned, np.concatenate([t_front, entering], axis=-1))
         down, down_of_back = np.split(both, [t_front.shape[-1]], axis=-1)
         up = _product(below, down, size, straight[1], False)
         to_front = _product(leaves_front, up, size, straight[0], False)
@@ -148,7 +148,7 @@ def balances(sheet: Sheet, transmittances: Array) -> Array:
     def balance(face: Face, near: tuple[Array, Array], far: tuple[Array, Array], passage: Array) -> Array:
         root, outer_root = face.root, face.outer_root
         (t_near,), (r_near,), (t_far,), (r_far,) = *near, *far
-        inward = _solved((r_near * passage) @ (r_far * passage), t_near)
+        inward = solved((r_near * passage) @ (r_far * passage), t_near)
         outward = (r_far * passage) @ inward
         reflected = outer_root @ (t_near.T * passage) @ outward / outer_root
         transmitted = outer_root @ (t_far.T * passage) @ inward / outer_root
@@ -161,7 +161,7 @@ def balances(sheet: Sheet, transmittances: Array) -> Array:
     )
 
 
-def _solved(returned: Array, entering: Array) -> Array:
+def solved(returned: Array, entering: Array) -> Array:
     """(1 − A)⁻¹ t, of one mode or several."""
     matrix = -returned
     diagonal = np.einsum("...ii->...i", matrix)

@@ -133,7 +133,7 @@ def build(
         wavelength_node = np.full(index_node.size, np.nan)
         first = {"index_node": index_node}
     resolved = resolution(surfaces, low, wavelength_node)
-    depth_node = _depth_nodes(body.transmittance)
+    depth_node = depth_nodes(body.transmittance)
     grid = LobeGrid.of(float(np.degrees(resolved.scale)))
     smooth = (surfaces[0] is None, surfaces[1] is None)
     tables, errors, operators = [], [], []
@@ -239,12 +239,12 @@ def _body(
         raise ModelError(
             f"the index of the slab absorbs (k up to {float(index['k'].max()):g}); give a real index, and the absorption apart"
         )
-    inside, wavelength = _transmittance(internal_transmittance, absorption, thickness)
+    inside, wavelength = internal_transmittance_of(internal_transmittance, absorption, thickness)
     n, _, wavelength, warnings = index_on(index, wavelength)
     return _Body(np.asarray(n), inside, wavelength, warnings)
 
 
-def _transmittance(
+def internal_transmittance_of(
     internal_transmittance: Spectral | None, absorption: Spectral | None, thickness: float | None
 ) -> tuple[Array, Array | None]:
     if absorption is None and thickness is None:
@@ -274,7 +274,7 @@ def _spectrum(given: Spectral) -> tuple[Array, Array | None]:
     return (np.asarray(values[0]), None) if np.ptp(values) == 0 else (values, wavelength)
 
 
-def _depth_nodes(transmittance: Array) -> Array:
+def depth_nodes(transmittance: Array) -> Array:
     """Chebyshev nodes of √(−ln τ), between which the logarithm of the scattered light is a polynomial.
 
     Light trapped beyond the critical angle fades with the slightest absorption: near τ = 1 the logarithm bends like a root.

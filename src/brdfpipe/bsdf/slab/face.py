@@ -217,7 +217,7 @@ def _modes(kernel: Array, integrals: Array) -> Array:
 def smooth(index: float, nodes: Nodes) -> Face:
     """A perfectly smooth face: Fresnel's reflectance on the diagonals, and 1 beyond the critical angle."""
     outside = fresnel_reflectance(np.cos(np.radians(nodes.outside)), index)
-    mirrored = _mirror_elements(np.cos(np.radians(nodes.inside)), index)
+    mirrored = mirror_elements(np.cos(np.radians(nodes.inside)), 1 / index)
     # The light that passes is the same from either side.
     mirrored[:3, : outside.mean.size] = outside.mean, (outside.s - outside.p) / 2, outside.mean
     straight = np.stack([1 - outside.mean, -(outside.s - outside.p) / 2])
@@ -225,9 +225,9 @@ def smooth(index: float, nodes: Nodes) -> Face:
     return Face(outside.mean, straight, mirrored, None, None, *no_loss, np.sqrt(nodes.weight), 0.0, outside.mean)
 
 
-def _mirror_elements(cosine: Array, index: float) -> Array:
-    """Mueller matrix (elements, …) of the internal reflection by a facet, in its own frame."""
-    fresnel, phased = fresnel_reflectance(cosine, 1 / index), phased_product(cosine, 1 / index, 0.0)
+def mirror_elements(cosine: Array, n: float, k: float = 0.0) -> Array:
+    """Mueller matrix (elements, …) of the reflection inside by a facet, in its own frame; n and k of what lies behind it, relative to the body."""
+    fresnel, phased = fresnel_reflectance(cosine, n, k), phased_product(cosine, n, k)
     none, difference = np.zeros_like(fresnel.mean), (fresnel.s - fresnel.p) / 2
     return np.stack([fresnel.mean, difference, fresnel.mean, none, none, phased.real, none, phased.imag, phased.real])
 
@@ -390,8 +390,19 @@ def transmitted_by_facets(surface: Microsurface, masking: str, index: float, nod
     return result
 
 
-def mirrored_by_facets(surface: Microsurface, masking: str, index: float, nodes: Nodes, azimuths: Azimuths) -> Array:
-    """Mueller matrix of f_r/n² between the nodes inside, (elements, J, J, P)."""
+def mirrored_by_facets(
+    surface: Microsurface,
+    masking: str,
+    index: float,
+    nodes: Nodes,
+    azimuths: Azimuths,
+    behind: tuple[float, float] | None = None,
+) -> Array:
+    """Mueller matrix of f_r/n² between the nodes inside, (elements, J, J, P).
+
+    ``behind``: n and k of what lies behind the face, relative to the body; by default air.
+    """
+    far = (1 / index, 0.0) if behind is None else behind
     count = nodes.inside.size
     first, second = np.triu_indices(count)
     result = np.zeros((len(ELEMENTS), count, count, azimuths.phi.size))
@@ -404,7 +415,7 @@ def mirrored_by_facets(surface: Microsurface, masking: str, index: float, nodes:
         into, out, azimuth = i[row], o[row], phi[turn]
         pair = HalfVector(*(np.broadcast_to(part, (i.size, phi.size))[row, turn] for part in pair))
         values = surface.reflected(pair, 0.0, azimuth, masking) / index**2
-        elements = _mirror_elements(pair.cos_zeta, index) * values
+        elements = mirror_elements(pair.cos_zeta, *far) * values
         psi_i, psi_o = frame_rotation(nodes.inside[into], np.zeros(into.size), nodes.inside[out], azimuth)
         result[:, out, into, turn] = _turned(elements, psi_i, psi_o)
         # Light that goes the other way, with the same sense of the azimuth.

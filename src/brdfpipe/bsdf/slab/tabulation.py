@@ -11,7 +11,7 @@ from brdfpipe.bsdf.microfacet.microsurface import Microsurface
 from brdfpipe.bsdf.slab import adding_doubling, face, wave_face
 from brdfpipe.bsdf.slab.adding_doubling import Sheet
 from brdfpipe.bsdf.slab.face import Azimuths, Nodes
-from brdfpipe.bsdf.slab.lobe_table import PATH_ENDS, LobeGrid, grazing_factor
+from brdfpipe.bsdf.slab.lobe_table import LobeGrid, grazing_factor
 from brdfpipe.bsdf.slab.wave_face import WaveSurface
 from brdfpipe.facets.radial_density import RadialDensity
 from brdfpipe.geometry import Array
@@ -158,7 +158,12 @@ def sheet(
 
 
 def tabulate(
-    pair: Sheet, smooth: tuple[bool, bool], transmittances: Array, count: int, grid: LobeGrid
+    pair: Sheet,
+    smooth: tuple[bool, bool],
+    transmittances: Array,
+    count: int,
+    grid: LobeGrid,
+    reflected_alone: bool = False,
 ) -> tuple[Array, float]:
     """Logarithm of the BSDF of light that has been inside, by ``count`` Fourier modes, and the error of its interpolation.
 
@@ -167,10 +172,11 @@ def tabulate(
     pair : the operators of the two faces
     smooth : whether the front and the back face are smooth
     transmittances : (K,) internal transmittances at normal incidence
+    reflected_alone : only light from the front that leaves it again
 
     Returns
     -------
-    table : (4, X, T, V, K), for the paths of ``PATH_ENDS``, divided by the ``grazing_factor``
+    table : (4 or 1, X, T, V, K), for the paths of ``PATH_ENDS``, divided by the ``grazing_factor``
     error : mean absolute error between the nodes over the mean, both weighted by flux, at the worst incidence; relative to a hundredth
         of the incident light if less than that is scattered [1]
     """
@@ -180,7 +186,8 @@ def tabulate(
     between = [(nodes[1:] + nodes[:-1]) / 2 for nodes in (grid.low, span, turn)]
     checked = _PairSums.of(grid, between[0][::_CHECKED], between[1], between[2], outside)
     # Of equal faces the light from either side is the same, and what passes is symmetric.
-    paths = [0, 2] if pair.front is pair.back else [0, 1, 2, 3]
+    equal = pair.front is pair.back
+    paths = [0] if reflected_alone else [0, 2] if equal else [0, 1, 2, 3]
     factor = np.stack([grazing_factor(smooth, np.array(path), outside[:, None], outside) for path in paths])[:, None]
     straight = [adding_doubling.straight(pair, float(tau)) for tau in transmittances]
     values, exact = (np.zeros(sums.shape(len(paths), transmittances.size)) for sums in (on_grid, checked))
@@ -207,7 +214,7 @@ def tabulate(
         if not present.any():
             break
         first += int(present.argmax())
-    if len(paths) < len(PATH_ENDS):
+    if equal and not reflected_alone:
         values, exact = np.repeat(values, 2, axis=0), np.repeat(exact, 2, axis=0)
     least = np.maximum(values.max(axis=(1, 2, 3), keepdims=True) * _FLOOR, 1e-300)
     table = np.log(np.maximum(values, least)).astype(np.float32)
