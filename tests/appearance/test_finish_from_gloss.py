@@ -14,16 +14,8 @@ import xarray as xr
 
 from brdfpipe import optics, vocabulary
 from brdfpipe.appearance import compute_appearance, gloss
-from brdfpipe.appearance.finish_from_gloss import (
-    ANGLES,
-    MULTIPLE_SCATTERING,
-    TAILS,
-    WIDTHS,
-    GlossFinishError,
-    GlossOfFinishes,
-    facets_of_finishes,
-    finish_from_gloss,
-)
+from brdfpipe.appearance.finish_from_gloss import GlossFinishError, facets_of_finishes, finish_from_gloss
+from brdfpipe.appearance.gloss_of_finishes import ANGLES, MULTIPLE_SCATTERING, TAILS, WIDTHS, GlossOfFinishes
 from brdfpipe.bsdf import microfacet
 from brdfpipe.bsdf.input_uncertainty import uncertainty
 from brdfpipe.bsdf.registry import representation

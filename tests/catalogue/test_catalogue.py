@@ -310,7 +310,7 @@ def test_the_keys_offer_what_the_model_has() -> None:
 
 
 def test_the_keys_offer_the_words_of_their_stages() -> None:
-    from brdfpipe.appearance.finish_from_gloss import TAILS
+    from brdfpipe.appearance.gloss_of_finishes import TAILS
     from brdfpipe.bsdf import flake
     from brdfpipe.bsdf.measured import smoothing
     from brdfpipe.facets import line_profiles
