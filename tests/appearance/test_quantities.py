@@ -12,6 +12,7 @@ import pytest
 import samples
 import xarray as xr
 
+from brdfpipe import vocabulary
 from brdfpipe.appearance import compute_appearance
 from brdfpipe.appearance.cabin import Cabin
 from brdfpipe.appearance.quantities import (
@@ -160,10 +161,11 @@ def test_the_catalogue_has_numbers_of_the_scan_that_pages_do_not_list(full: Data
     assert float(row["Sq"][0]) == pytest.approx(float(full["surface"]["Sq"]))
     assert float(row["pitch"][0]) == full["surface"].attrs["pitch_x"]
     assert float(row["missing_share"][0]) == pytest.approx(np.isnan(full["surface"]["height"].values).mean())
-    assert np.isnan(float(row["lay"][0]))
+    assert np.isnan(float(row["lay_azimuth"][0]))
     assert "Pitch" not in shown
     brushed = analytic("beckmann", a_x=0.05, a_y=0.2, azimuth=-30)
-    assert float(summarise({"facets": brushed})["lay"][0]) == pytest.approx(150.0)
+    of_brushed = vocabulary.validate(summarise({"facets": brushed}), "catalogue")
+    assert float(of_brushed["lay_azimuth"][0]) == pytest.approx(150.0)
 
 
 def test_the_luminous_reflectance_of_a_constant_spectrum_is_that_constant(full: Datasets) -> None:

@@ -473,7 +473,7 @@ for _quantity in (
         read=_scalar("surface", names=("missing_fraction",)), percent=True, listed=False, appended=True,
     ),
     AppearanceQuantity(
-        "lay", "Lay", "", "degree", 1, "azimuth of the lay, from 0 to 180 counter-clockwise from x",
+        "lay_azimuth", "Lay", "", "degree", 1, "azimuth of the lay, from 0 to 180 counter-clockwise from x",
         read=lambda datasets: _known(_lay_axis(datasets)), applicability=_LAY, listed=False, appended=True,
     ),
     AppearanceQuantity(
