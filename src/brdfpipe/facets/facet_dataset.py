@@ -118,7 +118,7 @@ def azimuthal_average(facets: xr.Dataset) -> xr.Dataset:
     radial.attrs = {name: facets.attrs[name] for name in ("method", "band")}
     radial = vocabulary.add_warning(
         radial,
-        f"the surface has a lay (anisotropy {float(facets['anisotropy']):.2f}, along {float(facets['lay']):.0f}°) and the "
+        f"the surface has a lay (anisotropy {float(facets['anisotropy']):.2f}, along {float(facets['lay']) % 180:.0f}°) and the "
         "reflection model is isotropic: its density was averaged over azimuth; set `surface.isotropic: true` to confirm",
     )
     return vocabulary.label(radial, "facets")

@@ -10,6 +10,7 @@ import xarray as xr
 from brdfpipe.bsdf.light_shares import scattered_rms_height
 from brdfpipe.report.cards import Section, Table
 from brdfpipe.report.formatting import NOT_DETERMINED, STANDARD, attribute_note, number
+from brdfpipe.report.plots.cutoffs import slope_by_cutoff
 from brdfpipe.report.plots.roughness_spectrum import instrument_frequencies, roughness_spectrum
 
 
@@ -20,6 +21,8 @@ def roughness_section(datasets: Mapping[str, xr.Dataset]) -> Section:
     if psd is None or not psd["psd"].values.any():
         return section
     section.figures.append(roughness_spectrum(psd))
+    if psd.attrs["form"] == "measured" and "surface" in datasets:
+        section.figures.append(slope_by_cutoff(psd, datasets["surface"]))
     section.tables += [_heights_table(psd, datasets.get("bsdf")), _frequency_table(psd)]
     return section
 
