@@ -92,7 +92,7 @@ FINISH = "surface: {distribution: flat}\n"
         (FINISH + "index: {}", "line 2, index: an empty mapping; accepted: file; or n, k"),
         (FINISH + "index: {flie: a}", "line 2, index: unknown key 'flie'; did you mean 'file'?; accepted: file; or n, k"),
         (FINISH + "index: {file: a, unit: nm}", "line 2, index: unknown key 'unit'; accepted: file"),
-        ("surface: {slope_rms: 0.1}\nindex: PP", "line 1, surface: unknown key 'slope_rms'; .*; or distribution, a, slope_rms"),
+        ("surface: {slope_rms: 0.1}\nindex: PP", "line 1, surface: unknown key 'slope_rms'; .*; or distribution, a, slopes, slope_rms"),
         (FINISH + "index: PP\nrecipe: crf", "line 3: unknown key 'recipe'; it belongs to `model`: `model: {recipe: …}`; accepted"),
         (FINISH + "index: PP\nlab: [30, 1, 1]", "line 3: unknown key 'lab'; it belongs to `spectrum`, `measured`; accepted"),
         (FINISH + "index: PP\nform: plane", "line 3: unknown key 'form'; it belongs to `surface`, `multiangle`; accepted"),

@@ -236,6 +236,8 @@ def test_the_digest_of_a_stage_covers_every_module_that_its_run_loads(tmp_path: 
     run("interior", {}, same("interior"), {"thickness": 2.0, "internal_transmittance": 0.95})
     run("facets", same("surface"), same("facets"))
     run("spectrum", {"raw": "reflectance.txt", **same("index")}, same("spectrum"))
+    by_gloss = {"gloss": {"20": 44.0, "60": 79.0}, "slopes": "beckmann"}
+    run("gloss_facets", same("index", "spectrum"), {"facets": "gloss_facets"}, by_gloss)
     traced = {"multiple_scattering": "measured"}
     run("interreflection", same("surface", "facets", "index", "spectrum"), same("interreflection"), traced)
     run("predicted", same("facets", "index", "spectrum"), same("predicted"))
@@ -280,6 +282,11 @@ def test_the_digest_of_a_stage_covers_every_module_that_its_run_loads(tmp_path: 
     run("planned", same("facets", "psd", "index", "spectrum", "plan"), {"bsdf": "planned"}, {})
     run("checks", same("bsdf"), same("checks"))
     run("appearance", same("bsdf"), same("appearance"))
+    read = {
+        "measured": {"gloss": {"20": 1.0, "60": 5.0}},
+        "doubtful": {"index_u": 0.02, "slope_u": 0.1, "diffuse_u": 0.05},
+    }
+    run("readings", same("bsdf", "predicted", "facets", "index", "spectrum"), same("readings", "csv"), read)
     run("preview", same("bsdf"), same("preview", "png"))
     run("table", same("bsdf"), same("table"))
     run("lambert_gauss", same("bsdf"), same("lambert_gauss", "csv"))
