@@ -84,11 +84,13 @@ lock: $(VENV)/.dev  ## resolve the dependencies anew (needs uv on the PATH)
 	uv pip compile --universal --fork-strategy fewest --python-version 3.11 --generate-hashes --no-header --no-emit-index-url --quiet --upgrade \
 	  pyproject.toml --group build --constraint requirements-dev.lock --output-file requirements.lock
 	uv pip compile --universal --fork-strategy fewest --python-version 3.11 --generate-hashes --no-header --no-emit-index-url --quiet --upgrade \
-	  pyproject.toml --extra instruments --extra excel --constraint requirements-dev.lock --output-file requirements-instruments.lock
+	  pyproject.toml --extra instruments --extra excel --extra plot --constraint requirements-dev.lock --output-file requirements-instruments.lock
 	uv pip compile --universal --fork-strategy fewest --python-version 3.11 --generate-hashes --no-header --no-emit-index-url --quiet --upgrade \
 	  pyproject.toml --group peers --constraint requirements-dev.lock --output-file requirements-peers.lock
 	uv pip compile --universal --fork-strategy fewest --python-version 3.11 --generate-hashes --no-header --no-emit-index-url --quiet --upgrade \
 	  pyproject.toml --extra cluster --constraint requirements-dev.lock --output-file requirements-cluster.lock
+	uv pip compile --universal --fork-strategy fewest --python-version 3.11 --generate-hashes --no-header --no-emit-index-url --quiet --upgrade \
+	  pyproject.toml --group docs --constraint requirements-dev.lock --output-file requirements-docs.lock
 
 clean:  ## remove the environment and the built results
 	rm -rf $(VENV) results

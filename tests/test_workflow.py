@@ -14,6 +14,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import samples
+from built_examples import EXAMPLES, build_examples
 from killed_build import contents, start_build
 from random_surfaces import heights
 from varied_materials import ROUTES, write_varied
@@ -25,7 +26,6 @@ from brdfpipe.psd.k_correlation import KCorrelation
 from brdfpipe.scenes.scene import load_scene
 
 PROJECT = Path(__file__).parents[1]
-EXAMPLES = ("abs-grain", "metallic-blue", "paint-lab", "pp-moulding")
 
 Lock = dict[str, dict[str, str]]
 MadeOnce = Callable[[str, Callable[[Path], None]], Path]
@@ -46,15 +46,6 @@ def built(made_once: MadeOnce) -> tuple[Path, Path]:
     """A copy of the examples and its results, for reading."""
     base = made_once("workflow", build_examples)
     return base / "catalogue", base / "results"
-
-
-def build_examples(base: Path) -> None:
-    # What a camera rig measured is built by the tests of the rig.
-    others = shutil.ignore_patterns("*.py", "__pycache__", "calibrations", "milk-glass", "metallic-paint", "opal-glass")
-    shutil.copytree(PROJECT / "examples", base / "catalogue", ignore=others)
-    summary = build_catalogue(base / "catalogue", base / "results", cores=2)
-    assert summary.failures == {}
-    assert summary.built == EXAMPLES
 
 
 @pytest.fixture

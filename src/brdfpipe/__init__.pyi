@@ -4,6 +4,7 @@ from . import catalogue as catalogue
 from . import comparison as comparison
 from . import exchange as exchange
 from . import facets as facets
+from . import figures as figures
 from . import flakes as flakes
 from . import geometry as geometry
 from . import hemisphere as hemisphere
@@ -20,4 +21,5 @@ from . import vocabulary as vocabulary
 from .bsdf import flake as flake
 from .bsdf import microfacet as microfacet
 from .bsdf.accessor import open_dataset as open_dataset
+from .prediction import predict as predict
 from .store import save_dataset as save_dataset

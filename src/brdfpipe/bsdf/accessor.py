@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import os
+import sys
 from collections.abc import Callable, Hashable, Mapping
 from functools import cached_property
 from types import MappingProxyType
-from typing import NamedTuple, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike
 
 from brdfpipe import store, vocabulary
-from brdfpipe.bsdf import approximation_error, checks, tabulation
+from brdfpipe.bsdf import approximation_error, checks, summary, tabulation
 from brdfpipe.bsdf.base import Representation
 from brdfpipe.bsdf.change_variables import NOT_STATED
 from brdfpipe.bsdf.nonspectral import nonspectral
@@ -35,6 +36,21 @@ class BSDFAccessor:
         self._of_one_direction: dict[tuple[str, bytes | None], _Template] = {}
         self._wavelength_variable: xr.Variable | None = None
         self._wavelength_values: Array | None = None
+
+    def __repr__(self) -> str:
+        return summary.text(self._dataset)
+
+    def _repr_html_(self) -> str:
+        return summary.html(self._dataset)
+
+    @property
+    def plot(self) -> Any:
+        """Figures, which need ``pip install 'brdfpipe[plot]'``: ``.plot.polar()``, ``.cartesian()``, ``.lobe()``, ``.map()`` and ``.preview()``.
+
+        See :class:`brdfpipe.figures.bsdf_plots.BSDFPlots`.
+        """
+        # Figures belong to a higher layer, which the public package loads at first use; no stage asks an accessor for one.
+        return sys.modules["brdfpipe"].figures.BSDFPlots(self._dataset)
 
     def evaluate(
         self, theta_i: ArrayLike, phi_i: ArrayLike, theta_o: ArrayLike, phi_o: ArrayLike, wavelength: Wavelengths = None

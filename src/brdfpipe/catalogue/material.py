@@ -70,9 +70,7 @@ def load_material(folder: Path, config: Mapping[str, Any], scene: Scene | None =
     content = reading.read(path, material_keys.Material)
     name = str(content.get("name", folder.name))
     check_name(name, path)
-    content.setdefault("exports", config["exports"])
-    if content.get("slab", {}).get("back") == "flat":
-        content["slab"] = content["slab"] | {"back": {"distribution": "flat"}}
+    content = completed(content, config)
     files = {
         part: documents.file_beside(path, file, f"{key}.file", "the material's folder")
         for part, key, file in raw_files(content)
@@ -80,6 +78,14 @@ def load_material(folder: Path, config: Mapping[str, Any], scene: Scene | None =
     if "rig" in content:
         files["rig"] = documents.file_beside(path, *run_file(content["rig"], "rig."), "the material's folder")
     return Material(name, folder, content, files, scene or _scene_of(path, content, config))
+
+
+def completed(content: Mapping[str, Any], config: Mapping[str, Any]) -> dict[str, Any]:
+    """A description with the keys that it takes from the configuration, and a flat back as the surface that it is."""
+    full = {"exports": config["exports"], **content}
+    if full.get("slab", {}).get("back") == "flat":
+        full["slab"] = full["slab"] | {"back": {"distribution": "flat"}}
+    return full
 
 
 def _scene_of(path: Path, content: Mapping[str, Any], config: Mapping[str, Any]) -> Scene:

@@ -62,6 +62,15 @@ def read(path: Path, model: Any) -> dict[str, Any]:
 def read_with_lines(path: Path, model: Any) -> Description:
     """Read a YAML description as :func:`read`; also return its lines, for checks of values against each other."""
     written, lines = documents.parse(path)
+    return _validated(path, written, lines, model)
+
+
+def check(written: Mapping[str, Any], model: Any, name: str) -> dict[str, Any]:
+    """Validate keys that are not in a file as :func:`read` validates those of a file; ``name`` stands for the file in messages."""
+    return _validated(Path(name), dict(written), {}, model).content
+
+
+def _validated(path: Path, written: Any, lines: documents.Lines, model: Any) -> Description:
     try:
         validated = _validator(model).validate_python(written)
     except ValidationError as error:

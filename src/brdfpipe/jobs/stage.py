@@ -96,7 +96,7 @@ def perform(job: Job) -> Outcome:
                 for path in _paths(job.output):
                     Path(path).parent.mkdir(parents=True, exist_ok=True)
                 with store.owners_checked(_owner), store.remembering(), _limited_memory(job.most_memory):
-                    _main(job.script)(job.input, job.output, job.params)
+                    main_of(job.script)(job.input, job.output, job.params)
         except BrdfpipeError as refusal:
             error, damaged = " ".join(str(refusal).split()), _damaged(refusal, job)
             print(f"refused: {error}", file=log)
@@ -213,7 +213,8 @@ def _pair(text: str) -> tuple[str, str]:
 
 
 @cache
-def _main(script: str) -> Main:
+def main_of(script: str) -> Main:
+    """The function ``main`` of a stage's script."""
     main: Main = runpy.run_path(script)["main"]
     return main
 

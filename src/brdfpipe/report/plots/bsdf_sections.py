@@ -84,14 +84,19 @@ def cut(bsdf: xr.Dataset, plane: Plane, incidence: float, *, through: bool = Fal
     Angles from the upper (``through``: lower) normal [degree], negative on the side of the source, and values [sr-1]; dense near the
     directions into which a smooth surface would reflect or transmit the light
     """
+    theta = cut_angles(bsdf, incidence, through=through)
+    return theta, value(bsdf, plane, incidence, *in_plane(theta, through=through))
+
+
+def cut_angles(bsdf: xr.Dataset, incidence: float, *, through: bool = False) -> Array:
+    """The angles of a :func:`cut`."""
     slope = representation(bsdf).lobe_slope
     first = _WIDEST_STEP if slope is None else float(np.clip(np.degrees(slope) / 4, 1e-4, _WIDEST_STEP))
     offsets = np.geomspace(first, 20, 44)
     peaks = smooth_angles(bsdf, incidence) if through else np.array([incidence])
     near = np.concatenate([np.r_[peak, peak - offsets, peak + offsets] for peak in peaks])
     theta = np.unique(np.r_[np.linspace(-89, 89, 179), near].round(6))
-    theta = theta[np.abs(theta) <= 89]
-    return theta, value(bsdf, plane, incidence, *in_plane(theta, through=through))
+    return theta[np.abs(theta) <= 89]
 
 
 def in_plane(theta: Array, *, through: bool = False) -> tuple[Array, Array]:

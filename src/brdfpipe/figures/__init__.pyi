@@ -1,0 +1,1 @@
+from .bsdf_plots import BSDFPlots as BSDFPlots
