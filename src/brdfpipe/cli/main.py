@@ -1,5 +1,6 @@
 """The command line: ``brdfpipe build``, ``check``, ``diff``, ``verify``, ``snapshot``, ``release``, ``prune``, ``scenes`` and ``new``; ``convert``,
-``compare`` and ``formats`` are in :mod:`brdfpipe.cli.tables`, the group ``rig`` in :mod:`brdfpipe.cli.rig`.
+``compare`` and ``formats`` are in :mod:`brdfpipe.cli.tables`, ``show`` and ``plot`` in :mod:`brdfpipe.cli.show`, ``doctor`` in
+:mod:`brdfpipe.cli.doctor`, the group ``rig`` in :mod:`brdfpipe.cli.rig`.
 
 Exit codes: 0 every material was built (or is ok), 1 at least one was not, 2 the command, the catalogue or the configuration
 cannot be used, 130 interrupted, 143 terminated. The verdict of a material's checks and the budget of its scene change it only with ``--fail-on``.
@@ -14,7 +15,9 @@ from pathlib import Path
 import click
 
 from brdfpipe.cli.console import FILE, FOLDER, PRESENT, exit_on_error
+from brdfpipe.cli.doctor import doctor
 from brdfpipe.cli.rig import rig
+from brdfpipe.cli.show import plot, show
 from brdfpipe.cli.tables import compare, convert, formats
 from brdfpipe.errors import BrdfpipeError, printable
 
@@ -303,7 +306,7 @@ def _cores() -> int:
     return os.cpu_count() or 1
 
 
-for command in (convert, compare, formats, rig):
+for command in (show, plot, convert, compare, formats, doctor, rig):
     main.add_command(command)
 
 if __name__ == "__main__":

@@ -1,0 +1,84 @@
+"""``brdfpipe show`` and ``brdfpipe plot``."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import samples
+from click.testing import CliRunner, Result
+
+from brdfpipe import store
+from brdfpipe.cli import terminal_plots
+from brdfpipe.cli.main import main
+
+PROJECT = Path(__file__).parents[2]
+
+
+def run(*words: object) -> Result:
+    return CliRunner().invoke(main, [str(word) for word in words])
+
+
+@pytest.fixture(scope="module")
+def saved(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("bsdf") / "bsdf.nc"
+    store.save_dataset(samples.beckmann_bsdf(0.3), path, stage="bsdf", material="grain")
+    return path
+
+
+def test_a_bsdf_is_shown_with_its_reflectance_and_a_cut(saved: Path) -> None:
+    found = run("show", saved)
+    assert found.exit_code == 0, found.output
+    for words in ("grain", "microfacet", "reflectance", "at 45°", "0°, 30°, 60° incidence", "⠀"):
+        assert words in found.output
+    listed = json.loads(run("show", saved, "--json").output)
+    expected = samples.beckmann_bsdf(0.3).bsdf.albedo(45.0)
+    assert next(iter(listed["reflectance"]["at 45°"].values())) == pytest.approx(float(np.ravel(expected)[0]), abs=1e-6)
+
+
+def test_a_scan_and_a_spectrum_are_shown_by_the_keys_of_a_description() -> None:
+    assert "▓" in run("show", PROJECT / "examples/abs-grain/grain.x3p").output
+    reflectance = PROJECT / "examples/abs-grain/reflectance.txt"
+    refused = run("show", reflectance)
+    assert refused.exit_code == 2
+    assert "give --as" in refused.output
+    shown = run("show", reflectance, "--as", "spectrum", "--set", "geometry=sci", "--set", "scale=percent")
+    assert shown.exit_code == 0, shown.output
+    assert "wavelength [nm]" in shown.output
+
+
+def test_the_results_of_a_folder_without_a_build_are_refused(tmp_path: Path) -> None:
+    found = run("show", tmp_path)
+    assert found.exit_code == 2
+    assert "no results of a build" in found.output
+
+
+def test_a_figure_is_written(saved: Path, tmp_path: Path) -> None:
+    pytest.importorskip("matplotlib")
+    found = run("plot", saved, tmp_path / "grain.svg", "--kind", "cartesian", "--theta-i", "20,50")
+    assert found.exit_code == 0, found.output
+    assert "50°" in (tmp_path / "grain.svg").read_text() or (tmp_path / "grain.svg").stat().st_size > 5000
+    assert run("plot", saved, tmp_path / "grain.bmp").exit_code == 2
+    several = run("plot", saved, tmp_path / "map.png", "--kind", "map", "--theta-i", "20,50")
+    assert several.exit_code == 2
+    assert "one angle of incidence" in several.output
+
+
+def test_a_curve_of_text_rises_where_the_values_do() -> None:
+    lines = terminal_plots.curves(np.linspace(0, 1, 50), [np.linspace(0, 1, 50)], "x [1]", "y [1]")
+    first, last = lines[1].split("┤")[1], lines[10].split("┤")[1]
+    assert first.strip("⠀")
+    assert first.startswith("⠀")
+    assert not last.startswith("⠀")
+    assert last.endswith("⠀")
+    logarithmic = terminal_plots.curves(np.arange(3.0), [np.array([1.0, 0.0, 1e3])], "x", "y", log=True)
+    assert "1e+03" in logarithmic[1]
+    assert terminal_plots.curves(np.arange(3.0), [np.full(3, np.nan)], "x", "y") == ["y: no value to show"]
+
+
+def test_a_relief_shows_missing_heights() -> None:
+    heights = np.add.outer(np.zeros(8), np.arange(8.0))
+    heights[:, 0] = np.nan
+    assert terminal_plots.relief(heights)[0] == "?  ░▒▓██"
