@@ -21,6 +21,7 @@ import numpy as np
 import xarray as xr
 
 from brdfpipe.bsdf.nonspectral import nonspectral
+from brdfpipe.bsdf.one_side import one_side
 from brdfpipe.bsdf.registry import representation
 from brdfpipe.bsdf.table_error import TableError, error_of, fresh_pairs
 from brdfpipe.errors import InputError
@@ -43,16 +44,16 @@ FORMAT = Format(
 _SIZES = ((16, 8), (24, 10), (32, 12), (40, 16), (48, 20), (64, 24), (80, 32), (96, 40))
 """Numbers of nodes along a side of the square, and of incidences, that are tried; with a lay also of azimuths of incidence."""
 _LAST_INCIDENCE = 88.0
+_TOWARDS_GRAZING = 1.5
+"""Power by which steps between incidences shrink towards grazing, where Fresnel's reflectance and masking change fastest."""
 _FACETS = (32, 96)
 """Nodes of the facet densities along azimuth and polar angle."""
 _READ_TURNS = 24
 """Intervals of the azimuth of incidence at which a file of a surface with a lay is read."""
-_EVEN_SHARE = 0.01
-"""Share of facets that are spread evenly, so that directions with little light have nodes too."""
-_READ_TURNS = 24
-"""Intervals of the azimuth of incidence at which a file of a surface with a lay is read."""
-_DARK = 1e-4
-"""Share of the largest facet density that no facet falls short of, so that every direction can be drawn."""
+_EVEN_SHARE = 1e-5
+"""Share of facets that are spread evenly, so that the BRDF over the facet density is finite; more of them would make it fall as steeply as the lobe."""
+_EVEN_SHARES_OF_NODES = (0.01, 0.1, 0.3)
+"""Shares of nodes spread evenly that are tried: many serve a lay, whose lobe is narrow one way and wide the other, few a narrow lobe."""
 _READ_INCIDENCES, _READ_POLAR, _READ_AROUND = np.arange(0.0, 88.1, 4.0), 96, 37
 
 
@@ -72,6 +73,17 @@ class Tables:
     """(n · m, azimuth, polar)"""
     values: Array
     """(n · m, channels, rows, columns)"""
+    visible: Array
+    """(n · m, rows, columns) density of the facets that each incidence sees, over ``vndf``"""
+
+    @classmethod
+    def of_fields(cls, fields: Mapping[str, Array], kind: str) -> Tables:
+        """Of the fields of a file; ``kind`` is ``rgb`` or ``spectra``. What is visible is not read."""
+        given = {name: np.asarray(fields[name], dtype=float) for name in ("phi_i", "theta_i", "ndf", "sigma")}
+        vndf, values = (
+            np.asarray(fields[name], dtype=float).reshape(-1, *fields[name].shape[2:]) for name in ("vndf", kind)
+        )
+        return cls(**given, vndf=vndf, values=values, visible=np.ones_like(values[:, 0]))
 
     @property
     def isotropic(self) -> bool:
@@ -135,43 +147,55 @@ def _facets(bsdf: xr.Dataset) -> tuple[Array, Array, Array]:
     return (1 - _EVEN_SHARE) * returned / total + _EVEN_SHARE * even if total > 0 else even, polar, around
 
 
-def tables_of(bsdf: xr.Dataset, channels: Channels, side: int, incidences: int) -> Tables:
-    """The tables of a BSDF of ``side``² nodes at each of ``incidences`` polar angles."""
+def tables_of(
+    bsdf: xr.Dataset, channels: Channels, side: int, incidences: int, even_share: float = _EVEN_SHARES_OF_NODES[0]
+) -> Tables:
+    """The tables of a BSDF of ``side``² nodes at each of ``incidences`` polar angles; ``even_share`` of the nodes is spread evenly."""
     model = representation(channels.source)
     ndf, polar, around = _facets(nonspectral(bsdf))
     normals = unit_vector(*np.degrees(np.broadcast_arrays(polar[None, :], around[:, None])))
     stretch = np.sqrt(2 * polar / np.pi) * np.sin(polar)
     phi_i = np.zeros(1) if model.isotropic else np.linspace(-np.pi, np.pi, incidences + 1)
-    theta_i = np.radians(np.linspace(0.0, _LAST_INCIDENCE, incidences))
-    facing = [
-        np.maximum((normals * unit_vector(np.degrees(theta), np.degrees(phi))).sum(axis=-1), 0.0) * ndf * stretch
-        for phi in phi_i
-        for theta in theta_i
-    ]
-    vndf = np.array(facing)
+    theta_i = np.radians(_LAST_INCIDENCE * (1 - np.linspace(1.0, 0.0, incidences) ** _TOWARDS_GRAZING))
+    facing = np.array(
+        [
+            np.maximum((normals * unit_vector(np.degrees(theta), np.degrees(phi))).sum(axis=-1), 0.0) * stretch
+            for phi in phi_i
+            for theta in theta_i
+        ]
+    )
+    density = (1 - even_share) * ndf + even_share / np.pi
+    vndf = facing * density
     vndf += 1e-6 * vndf.max(axis=(1, 2), keepdims=True)
     # The projection of the facets in any unit: it cancels in the BRDF. Even nodes in the square root of the polar angle.
     x = np.linspace(0.0, 1.0, 64)
-    projected = np.array(vndf.mean(axis=(1, 2))).reshape(phi_i.size, theta_i.size)
+    projected = (facing * ndf).mean(axis=(1, 2)).reshape(phi_i.size, theta_i.size)
     at = np.degrees(np.pi / 2 * x**2)
     sigma = np.array([np.interp(at, np.degrees(theta_i), row) for row in projected])
     sigma = np.repeat(sigma, 2, axis=0) if model.isotropic else sigma
-    empty = np.zeros((phi_i.size * theta_i.size, 1, 2, 2))
-    bare = Tables(phi_i, theta_i, ndf, sigma, vndf, empty)
+    slices = phi_i.size * theta_i.size
+    values, visible = np.empty((slices, len(channels.names), side, side)), np.empty((slices, side, side))
+    bare = Tables(phi_i, theta_i, ndf, sigma, vndf, values, visible)
     first, second = (grid.ravel() for grid in np.meshgrid(np.linspace(0, 1, side), np.linspace(0, 1, side)))
-    values = np.empty((phi_i.size * theta_i.size, len(channels.names), side, side))
     for number, (phi, theta) in enumerate((p, t) for p in phi_i for t in theta_i):
-        values[number] = _node_values(bare, channels, number, (theta, phi), first, second).T.reshape(-1, side, side)
+        at_nodes, seen = _node_values(bare, channels, number, (theta, phi), first, second, density)
+        values[number], visible[number] = at_nodes.T.reshape(-1, side, side), seen.reshape(side, side)
     if model.isotropic:
         # The plugin may exchange both sides of the plane of incidence.
         values = (values + values[:, :, ::-1]) / 2
-    return Tables(phi_i, theta_i, ndf, sigma, vndf, values)
+    return Tables(phi_i, theta_i, ndf, sigma, vndf, values, visible)
 
 
 def _node_values(
-    bare: Tables, channels: Channels, number: int, incidence: tuple[float, float], first: Array, second: Array
-) -> Array:
-    """BRDF·cos θ_o · 4 sigma / ndf at even numbers of one incidence [radian], (points, channels)."""
+    bare: Tables,
+    channels: Channels,
+    number: int,
+    incidence: tuple[float, float],
+    first: Array,
+    second: Array,
+    density: Array,
+) -> tuple[Array, Array]:
+    """BRDF·cos θ_o · 4 sigma / ndf at even numbers of one incidence [radian], (points, channels), and the facets over the density of nodes, (points,)."""
     theta, phi = incidence
     one = Slices(np.full((1, first.size), number, dtype=np.intp), np.ones((1, first.size)))
     here = Slices(np.zeros((1, first.size), dtype=np.intp), np.ones((1, first.size)))
@@ -191,8 +215,9 @@ def _node_values(
         )
     )
     position = np.full(x.size, np.sqrt(2 * theta / np.pi)), np.full(x.size, (phi + np.pi) / (2 * np.pi))
-    scale = 4 * _bilinear(bare.sigma[None], here, *position) / _bilinear(bare.ndf[None], here, x, y)
-    return np.asarray(np.maximum(brdf, 0.0) * (cosine * scale)[:, None])
+    ndf = _bilinear(bare.ndf[None], here, x, y)
+    scale = 4 * _bilinear(bare.sigma[None], here, *position) / ndf
+    return np.maximum(brdf, 0.0) * (cosine * scale)[:, None], ndf / _bilinear(density[None], here, x, y)
 
 
 def write(bsdf: xr.Dataset, path: Path, *, scale: float = 1.0, **grid: Any) -> records.Record:
@@ -205,27 +230,27 @@ def write(bsdf: xr.Dataset, path: Path, *, scale: float = 1.0, **grid: Any) -> r
     scale : of all values, for a blend; the description of the file states it
     grid : ``tolerance``, ``albedo_tolerance`` and ``largest``, see :data:`brdfpipe.exchange.registry.GRID_OPTIONS`
     """
-    return _write(bsdf, path, gridded.linear_rgb(bsdf), None, scale, grid)
+    return _write(bsdf, path, gridded.linear_rgb(one_side(bsdf, "reflection")), None, scale, grid)
 
 
 def write_spectral(bsdf: xr.Dataset, path: Path, *, scale: float = 1.0, **grid: Any) -> records.Record:
     """Write values by wavelength, for the spectral variants of Mitsuba; parameters as for :func:`write`."""
     wavelength = bsdf["wavelength"].values if "wavelength" in bsdf.coords else np.array([360.0, 830.0])
-    return _write(bsdf, path, gridded.spectral(bsdf, wavelength), wavelength, scale, grid)
+    return _write(bsdf, path, gridded.spectral(one_side(bsdf, "reflection"), wavelength), wavelength, scale, grid)
 
 
 def _write(
     bsdf: xr.Dataset, path: Path, channels: Channels, wavelength: Array | None, scale: float, grid: Mapping[str, Any]
 ) -> records.Record:
-    tables, error, met = _chosen(bsdf, **grid)
-    side, incidences = tables.values.shape[-1], tables.theta_i.size
-    tables = tables_of(bsdf, channels, side, incidences)
+    (side, incidences, even_share), error, met = _chosen(bsdf, **grid)
+    tables = tables_of(bsdf, channels, side, incidences, even_share)
     count = tables.values.shape[1]
     values = np.broadcast_to(
         scale * tables.values, (len(tables.values), wavelength.size if wavelength is not None else 3, side, side)
     )
     lead = tables.phi_i.size, tables.theta_i.size
-    luminance = np.maximum(tables.values.mean(axis=1), 1e-9 * tables.values.max())
+    drawn = tables.values.mean(axis=1) * tables.visible
+    luminance = np.maximum(drawn, 1e-9 * drawn.max())
     note = "" if scale == 1 else f"; the values are {scale:g} times the BRDF"
     fields = {
         "description": np.frombuffer((records.comment(bsdf) + note).encode("ascii", "replace"), dtype=np.uint8),
@@ -270,23 +295,30 @@ class _Written(NamedTuple):
 
 def _chosen(
     bsdf: xr.Dataset, *, tolerance: float, albedo_tolerance: float, largest: int
-) -> tuple[Tables, TableError, bool]:
-    """The smallest tables within the tolerances, or the most accurate ones within the size, weighted with V(λ) and D65."""
-    reduced = nonspectral(bsdf)
-    pairs, best = fresh_pairs(reduced, seed=2), None
+) -> tuple[tuple[int, int, float], TableError, bool]:
+    """Side, incidences and even share of the smallest tables within the tolerances, or of the most accurate ones within the size, weighted with V(λ) and D65."""
+    reflected = one_side(nonspectral(bsdf), "reflection")
+    channels, pairs = gridded.photopic(reflected), fresh_pairs(reflected, seed=2)
+    found: list[tuple[TableError, tuple[int, int, float]]] = []
+    shares = _EVEN_SHARES_OF_NODES
     for side, incidences in _SIZES:
-        azimuths = 1 if representation(bsdf).isotropic else incidences + 1
-        if best is not None and side * side * incidences * azimuths > largest:
+        azimuths = 1 if representation(reflected).isotropic else incidences + 1
+        if found and side * side * incidences * azimuths > largest:
             break
-        tables = tables_of(bsdf, gridded.photopic(bsdf), side, incidences)
-        error = error_of(reduced, tables.evaluate, pairs)
-        met = error.percentile_95 <= tolerance and error.albedo <= albedo_tolerance
-        if best is None or error.percentile_95 < best[1].percentile_95 or met:
-            best = tables, error, met
-        if met:
-            break
-    assert best is not None
-    return best
+        for share in shares:
+            tables = tables_of(reflected, channels, side, incidences, share)
+            found.append((error_of(reflected, tables.evaluate, pairs), (side, incidences, share)))
+        error, size = min(found[-len(shares) :], key=_both_errors)
+        # The share that suits a size suits the larger ones.
+        shares = (size[-1],)
+        if error.percentile_95 <= tolerance and error.albedo <= albedo_tolerance:
+            return size, error, True
+    error, size = min(found, key=_both_errors)
+    return size, error, False
+
+
+def _both_errors(found: tuple[TableError, tuple[int, int, float]]) -> float:
+    return found[0].percentile_95 + found[0].albedo
 
 
 def read(path: Path) -> ReadTable:
@@ -315,15 +347,7 @@ def read(path: Path) -> ReadTable:
         wavelength = np.asarray(fields.get("wavelengths", np.empty(0)), dtype=float)
         if wavelength.size != fields[kind].shape[2]:
             raise InputError(path, "wavelengths and spectra differ in number", found=f"{wavelength.size} wavelengths")
-    arrays = {name: np.asarray(fields[name], dtype=float) for name in needed}
-    tables = Tables(
-        arrays["phi_i"],
-        arrays["theta_i"],
-        arrays["ndf"],
-        arrays["sigma"],
-        arrays["vndf"].reshape(-1, *arrays["vndf"].shape[2:]),
-        arrays[kind].reshape(-1, *arrays[kind].shape[2:]),
-    )
+    tables = Tables.of_fields(fields, kind)
     return _resampled(tables, "rgb" if kind == "rgb" else "spectral", wavelength)
 
 
