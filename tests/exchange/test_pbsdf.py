@@ -9,10 +9,15 @@ import numpy as np
 import pytest
 import samples
 import xarray as xr
+from damaged_files import check_garbled_files
 
 from brdfpipe import facets, vocabulary
 from brdfpipe.bsdf import microfacet
+from brdfpipe.bsdf.registry import representation
+from brdfpipe.bsdf.table_error import error_of, fresh_pairs
+from brdfpipe.errors import InputError
 from brdfpipe.exchange import pbsdf, tensor_file
+from brdfpipe.exchange.reading import read
 from brdfpipe.exchange.registry import ExchangeError, write
 from brdfpipe.geometry import unit_vector
 
@@ -123,3 +128,56 @@ def test_mitsuba_evaluates_the_matrices(metal, tmp_path, kind):
         assert found == pytest.approx(expected, abs=0.03 * expected[0, 0])
     if before is not None:
         mitsuba.set_variant(before)
+
+
+def test_read_back_is_the_brdf_of_unpolarised_light(metal, file):
+    back = read(file)
+    assert back["wavelength"].values.tolist() == [450, 500, 550, 600, 650]
+    stated = json.loads(Path(f"{file}.json").read_text())["error"]
+    found = error_of(metal.bsdf.nonspectral(), representation(back.bsdf.nonspectral()).evaluate, fresh_pairs(metal, 31))
+    assert found.percentile_95 <= 1.6 * stated["percentile_95"] + 2e-3
+    assert "unpolarised light alone" in back.attrs["history"]
+
+
+def _changed(**fields):
+    """Changes of the fields of a small file."""
+    return lambda given: {**given, **{name: change(given[name]) for name, change in fields.items()}}
+
+
+def _small():
+    """A grey diffuser on few nodes."""
+    matrices = np.zeros((5, 3, 4, 2, 4, 4), dtype=np.float32)
+    matrices[..., 0, 0] = 0.1
+    return {
+        "phi_d": np.radians(np.linspace(-180, 180, 5))[None].astype(np.float32),
+        "theta_d": np.radians([0.0, 45, 89])[None].astype(np.float32),
+        "theta_h": np.radians([0.0, 10, 40, 89])[None].astype(np.float32),
+        "wvls": np.array([500, 600], dtype=np.uint16),
+        "M": matrices,
+    }
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda given: {name: array for name, array in given.items() if name != "M"}, "lacks fields"),
+        (_changed(M=lambda m: m[:-1]), "do not fit"),
+        (_changed(wvls=lambda w: w[::-1]), "do not increase"),
+        (_changed(phi_d=lambda phi: phi / 2), "not a circle"),
+        (_changed(phi_d=lambda phi: phi + np.float32(0.1)), "no azimuth phi_d is 0"),
+        (_changed(theta_h=lambda theta: theta[:, ::-1]), "theta_h do not increase"),
+        (_changed(M=lambda m: m * np.float32(np.nan)), "no cell has a value"),
+    ],
+)
+def test_a_file_that_contradicts_itself_is_refused_with_what_was_found(tmp_path, change, message):
+    tensor_file.write(tmp_path / "x.pbsdf", _small())
+    assert float(read(tmp_path / "x.pbsdf").bsdf.nonspectral().bsdf.evaluate(30, 0, 40, 100)) == pytest.approx(0.1)
+    tensor_file.write(tmp_path / "x.pbsdf", change(_small()))
+    with pytest.raises(InputError, match=message):
+        read(tmp_path / "x.pbsdf")
+
+
+@pytest.mark.parametrize("count", [40, pytest.param(300, marks=pytest.mark.slow)])
+def test_garbled_files_are_read_or_refused_and_never_crash(tmp_path, count):
+    tensor_file.write(tmp_path / "small.pbsdf", _small())
+    check_garbled_files((tmp_path / "small.pbsdf").read_bytes(), tmp_path / "x.pbsdf", "pbsdf", count)

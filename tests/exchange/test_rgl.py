@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import samples
+from damaged_files import check_garbled_files
 
 from brdfpipe import facets
 from brdfpipe.appearance.colours import xyz_of
@@ -114,6 +115,22 @@ def test_a_field_that_does_not_fit_is_refused(file, tmp_path):
     tensor_file.write(tmp_path / "x.bsdf", fields | {"vndf": fields["vndf"][:, :2]})
     with pytest.raises(InputError, match="does not fit the incidences"):
         read(tmp_path / "x.bsdf", "rgl")
+
+
+@pytest.mark.parametrize("count", [20, pytest.param(300, marks=pytest.mark.slow)])
+def test_garbled_files_are_read_or_refused_and_never_crash(tmp_path, count):
+    smooth = samples.beckmann_bsdf(0.5)
+    write(smooth, tmp_path / "small.rgb.bsdf", tolerance=0.5, albedo_tolerance=0.5)
+    fields = tensor_file.read(tmp_path / "small.rgb.bsdf")
+    # Two incidences and a few nodes: each copy is read in a fraction of a second.
+    few = {"theta_i": fields["theta_i"][::4], "ndf": fields["ndf"][::8, ::8], "sigma": fields["sigma"]}
+    few |= {
+        "phi_i": fields["phi_i"],
+        "vndf": fields["vndf"][:, ::4, ::8, ::8],
+        "rgb": fields["rgb"][:, ::4, :, ::5, ::5],
+    }
+    tensor_file.write(tmp_path / "few.rgb.bsdf", few)
+    check_garbled_files((tmp_path / "few.rgb.bsdf").read_bytes(), tmp_path / "x.rgb.bsdf", "rgl", count)
 
 
 @pytest.mark.slow

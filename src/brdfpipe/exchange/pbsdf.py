@@ -18,7 +18,9 @@ import xarray as xr
 from brdfpipe.bsdf import table_nodes
 from brdfpipe.bsdf.grids import GRIDS
 from brdfpipe.bsdf.registry import representation
+from brdfpipe.errors import InputError
 from brdfpipe.exchange import cell_means, gridded, records, tensor_file
+from brdfpipe.exchange.read_table import ReadTable
 from brdfpipe.exchange.registry import ExchangeError, Format
 from brdfpipe.geometry import Array, unit_vector
 
@@ -27,6 +29,7 @@ FORMAT = Format(
     files={"reflection": {"write": (".pbsdf",)}},
     takes="cells",
     carries=("spectrum", "polarisation"),
+    read="read",
 )
 
 WAVELENGTHS = np.array([450.0, 500.0, 550.0, 600.0, 650.0])
@@ -38,6 +41,8 @@ AXES = {
 }
 """Nodes [degree]; those of the half vector are dense at the normal, where lobes are."""
 _HORIZON = 89.9
+_ROUNDING = 1e-3
+"""Angles of single precision in radian are rounded by less [degree]."""
 
 
 def write(bsdf: xr.Dataset, path: Path) -> records.Record:
@@ -123,3 +128,40 @@ def rotator(angle: Array) -> Array:
     matrix[..., 1, 1] = matrix[..., 2, 2] = cosine
     matrix[..., 1, 2], matrix[..., 2, 1] = sine, -sine
     return matrix
+
+
+def read(path: Path) -> ReadTable:
+    """Read the BRDF of unpolarised light, the first element of each Mueller matrix, by wavelength.
+
+    Raises InputError: the file is not of this kind, or its fields contradict each other.
+    """
+    fields = tensor_file.read(path)
+    names = ("phi_d", "theta_d", "theta_h")
+    if missing := [name for name in (*names, "wvls", "M") if name not in fields]:
+        found = ", ".join(sorted(fields))[:80]
+        raise InputError(path, "the file lacks fields", found=found, accepted=", ".join(missing))
+    axes = {name: np.round(np.degrees(fields[name].ravel().astype(float)), 4) for name in names}
+    wavelength = fields["wvls"].ravel().astype(float)
+    shape = (*(axes[name].size for name in names), wavelength.size, 4, 4)
+    if fields["M"].shape != shape:
+        raise InputError(
+            path,
+            "the matrices M do not fit the angles and wavelengths",
+            found=f"shape {fields['M'].shape}",
+            accepted=f"{shape}",
+        )
+    if not ((np.diff(wavelength) > 0).all() and wavelength.size and np.isfinite(wavelength).all()):
+        raise InputError(path, "the wavelengths do not increase", found=str(wavelength)[:60])
+    around = axes["phi_d"]
+    if around.size < 3 or not (np.diff(around) > 0).all() or abs(around[-1] - around[0] - 360) > _ROUNDING:
+        raise InputError(path, "the azimuths phi_d are not a circle", found=f"{around[:1]} to {around[-1:]}")
+    first = int(np.argmin(np.abs(around)))
+    if abs(around[first]) > _ROUNDING:
+        raise InputError(path, "no azimuth phi_d is 0", found=f"{around[first]:g} degree as the nearest")
+    intensity = np.moveaxis(fields["M"][..., 0, 0], (0, 1, 2), (2, 1, 0)).astype(float)
+    turned = np.concatenate([intensity[:, :, first:], intensity[:, :, 1 : first + 1]], axis=2)
+    circle = np.concatenate([around[first:], around[1 : first + 1] + 360])
+    circle[0], circle[-1] = 0.0, 360.0
+    read_axes = {"theta_h": axes["theta_h"], "theta_d": axes["theta_d"], "phi_d": circle}
+    note = "the BRDF of unpolarised light alone was read; the other elements of the Mueller matrices were not"
+    return ReadTable("half", read_axes, turned, "spectral", wavelength, notes=(note,))

@@ -300,7 +300,7 @@ def _chosen(
     reflected = one_side(nonspectral(bsdf), "reflection")
     channels, pairs = gridded.photopic(reflected), fresh_pairs(reflected, seed=2)
     found: list[tuple[TableError, tuple[int, int, float]]] = []
-    shares = _EVEN_SHARES_OF_NODES
+    shares: tuple[float, ...] = _EVEN_SHARES_OF_NODES
     for side, incidences in _SIZES:
         azimuths = 1 if representation(reflected).isotropic else incidences + 1
         if found and side * side * incidences * azimuths > largest:
