@@ -5,6 +5,9 @@ from __future__ import annotations
 import numpy as np
 from scipy.special import beta, erf
 
+from brdfpipe.bsdf.registry import representation
+from brdfpipe.hemisphere import panel_rule
+
 
 class Tracer:
     """Photons with an electric field between two Beckmann faces: facets drawn from their density, weighted by how much of them is seen.
@@ -216,3 +219,39 @@ class CoatTracer(Tracer):
         lives = self.generator.random(weight.size) < np.minimum(weight / 0.1, 1)
         travel, field, weight, who = self._where(lives, travel, field, weight, who)
         return travel, field, np.maximum(weight, 0.1), who
+
+
+SECTORS = [(low, high, ahead) for low, high in ((0, 20), (20, 45), (45, 70), (70, 90)) for ahead in (True, False)]
+"""Polar angles, and whether azimuths are those towards the mirror direction."""
+
+
+class Traced:
+    """The photons that came out, in sectors of directions."""
+
+    def __init__(self, travel, weight, who, photons):
+        self.weight, self.who, self.photons = weight, who, photons
+        self.theta = np.degrees(np.arccos(np.clip(travel[:, 2], -1, 1)))
+        self.ahead = travel[:, 0] < 0
+
+    def share(self, where):
+        """Share of the light in some directions, and its standard error."""
+        by_photon = np.bincount(self.who, np.where(where, self.weight, 0.0), self.photons)
+        return by_photon.mean(), by_photon.std() / np.sqrt(self.photons)
+
+    def beside(self, bsdf, theta_i):
+        """Sector, light of a BSDF in it, light of the photons, and the standard error of that."""
+        model = representation(bsdf)
+        mirrored = model.specular(np.array([theta_i]), np.zeros(1), None)[0][0, 0]
+        for low, high, ahead in SECTORS:
+            theta, d_theta = panel_rule(np.linspace(low, high, 13), 6)
+            phi, d_phi = panel_rule(np.linspace(90, 180, 13) if ahead else np.linspace(0, 90, 7), 6)
+            values = model.evaluate(theta_i, 0.0, theta[:, None], phi, None)[..., 0]
+            scattered = 2 * float(
+                (np.radians(d_theta) * np.sin(2 * np.radians(theta)) / 2) @ values @ np.radians(d_phi)
+            )
+            predicted = scattered + (mirrored if ahead and low <= theta_i < high else 0.0)
+            yield (
+                (low, high, ahead),
+                predicted,
+                *self.share((self.theta >= low) & (self.theta < high) & (self.ahead == ahead)),
+            )

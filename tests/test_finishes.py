@@ -11,6 +11,7 @@ import pandas as pd
 import pytest
 import samples
 import xarray as xr
+from sheet_tracer import CoatTracer, Traced
 
 from brdfpipe import store, vocabulary
 from brdfpipe.bsdf.tabulation import grid_for
@@ -21,14 +22,27 @@ MATERIALS = {
     "brushed": "surface: {file: h.npy, unit: um, pitch: 1}\nindex: ABS\nspectrum: {file: r.txt, geometry: sci, scale: fraction}\n"
     "model: {truth: none, optics: OPTICS}\n",
     "compensated": "surface: {distribution: beckmann, slope_rms: 0.6}\nindex: ABS\nmodel: {multiple_scattering: compensated}\n",
+    "film": "surface: {file: h.npy, unit: um, pitch: 1, isotropic: true}\nindex: PET\nspectrum: {file: r.txt, geometry: sci, scale: fraction}\n"
+    "coat: {thickness: 0.1, absorption: {file: a.txt}, base: {index: ABS, surface: {distribution: beckmann, slope_rms: 0.2}}}\n",
     "frosted": "surface: {distribution: flat}\nindex: 1.49\n"
     "slab: {thickness: 2, absorption: {file: a.txt}, back: {distribution: beckmann, slope_rms: 0.2}}\n",
+    "lacquer": "surface: {distribution: beckmann, slope_rms: 0.3}\nindex: 1.5\nindex_uncertainty: 0.01\n"
+    "coat: {thickness: 0.04, internal_transmittance: 0.9, base: {index: 1.8}}\n"
+    "spectrum: {file: r.txt, geometry: sci, scale: fraction, reflectance_uncertainty: 0.003}\n",
     "patent": "surface: {distribution: beckmann, slope_rms: 0.6}\nindex: ABS\nmodel: {recipe: crf}\n" + COLOUR,
     "polished": "surface: {distribution: flat}\nindex: 1.5\n",
     "satin": "surface: {distribution: measured-gloss}\nindex: 1.5\nmeasured: {gloss: {20: 44, 60: 79, 85: 84}}\n"
     + COLOUR,
     "steel": "surface: {distribution: ggx, a: 0.15}\nindex: {n: 2.9, k: 3.1}\n",
 }
+
+
+PHOTONS = 100_000
+
+
+def lacquer_tracer() -> CoatTracer:
+    """Photons in the lacquer, whose base sends back 0.6 of the light that enters it."""
+    return CoatTracer(coat=0.3, base=0.0, coat_index=1.5, index=1.8, inside=0.9, reflectance=0.6, seed=3)
 
 
 GRID = {"theta_i": [0, 45], "theta_o": [0, 30, 60], "phi_o": [0, 90, 180], "phi_i": [0, 180, 360]}
@@ -46,7 +60,16 @@ def build_finishes(base: Path, slow: bool) -> None:
         (base / "catalogue" / name).mkdir(parents=True)
         (base / "catalogue" / name / "material.yaml").write_text(text.replace("OPTICS", "auto" if slow else "facets"))
     np.save(base / "catalogue" / "brushed" / "h.npy", _brushed())
-    for file, value in (("frosted/a.txt", 0.05), ("brushed/r.txt", 0.2)):
+    np.save(base / "catalogue" / "film" / "h.npy", samples.gaussian_surface(160, correlation=6)["height"].values)
+    _, at_8, _ = lacquer_tracer().trace(8.0, PHOTONS)
+    np.save(base / "total_at_8.npy", at_8.sum() / PHOTONS)
+    for file, value in (
+        ("frosted/a.txt", 0.05),
+        ("brushed/r.txt", 0.2),
+        ("film/a.txt", 0.5),
+        ("film/r.txt", 0.3),
+        ("lacquer/r.txt", at_8.sum() / PHOTONS),
+    ):
         rows = "".join(f"{nm} {value}\n" for nm in range(380, 741, 20))
         (base / "catalogue" / file).write_text(f"nm a\n{rows}")
     # Few fits and no reflectance haze: what is in them is not the question here.
@@ -142,6 +165,40 @@ def test_a_clear_sheet_has_two_faces_and_two_sides(results: Path) -> None:
     exports = {path.name for path in (folder / "exports").iterdir()}
     assert {"frosted.transmission.astm", "frosted.total_transmittance.csv"} <= exports
     assert max(grid_for(opened(results, "frosted", "bsdf"), GRID)["theta_o"]) > 90
+
+
+def test_a_clear_coat_over_a_colour_reflects_as_photons_do(results: Path) -> None:
+    """Only the total reflectance at 8° is given; directions and the total at 50° follow, within 1 % and the noise of the photons."""
+    bsdf, theta_i = opened(results, "lacquer", "bsdf"), 50.0
+    assert bsdf.attrs["representation"] == "coated"
+    traced = Traced(*lacquer_tracer().trace(theta_i, PHOTONS), PHOTONS)
+    mean, error = traced.share(np.ones(traced.weight.size, dtype=bool))
+    assert float(bsdf.bsdf.albedo(theta_i=theta_i)[0]) == pytest.approx(mean, abs=6 * error + 1e-3)
+    for sector, predicted, mean, error in traced.beside(bsdf, theta_i):
+        assert predicted == pytest.approx(mean, abs=5 * error + 0.01 * mean + 2e-4), sector
+
+
+@pytest.mark.parametrize("name", ["lacquer", "film"])
+def test_a_coated_body_conserves_energy_and_has_its_total_reflectance(results: Path, name: str) -> None:
+    verdicts = json.loads(opened(results, name, "checks").attrs["verdicts"])
+    assert {check["verdict"] for check in verdicts.values()} == {"pass"}
+    bsdf, spectrum = opened(results, name, "bsdf"), opened(results, name, "spectrum")
+    total = spectrum["total_reflectance"].values
+    assert bsdf.bsdf.albedo(theta_i=8).values.ravel() == pytest.approx(total, abs=1e-9)
+
+
+def test_a_coated_body_has_a_face_an_index_and_uncertainties_of_its_own(results: Path) -> None:
+    made = {path.name for path in (results / "film").iterdir()}
+    assert {"surface.nc", "base_facets.nc", "base_index.nc", "interior.nc", "coated_uncertainty.nc"} <= made
+    assert not {"predicted.nc", "wave.nc", "model_error.nc", "back_facets.nc"} & made
+    assert float(opened(results, "film", "interior")["internal_transmittance"][0]) == pytest.approx(np.exp(-0.05))
+    # 0.01 of the index is 2 % of Fresnel's reflectance, and less of the gloss: the receptor sees light of the body too.
+    computed = opened(results, "lacquer", "appearance")
+    of_index = computed["gloss_u_source"].sel(source="index") / computed["gloss"]
+    assert 0.004 < float(of_index.sel(gloss_angle=60)) < 0.02
+    page = (results / "film" / "report.html").read_text()
+    assert "Light that comes back from the body" in page
+    assert "face of the body below" in page
 
 
 def test_only_sheets_have_files_of_transmission(results: Path) -> None:

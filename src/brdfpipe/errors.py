@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from functools import partial
 from pathlib import PurePath
 from typing import Any
@@ -99,6 +100,23 @@ class InputError(BrdfpipeError):
         named = self._named() | {"key": None, "option": options.get(self.key or "")}
         return InputError(self.file, self.problem, **named)
 
+    def with_key(self, key: str, own: str) -> InputError:
+        """The same error with the key ``own`` in the place of ``key``, and with the keys below it."""
+        renamed = {
+            name: None if text is None else re.sub(rf"^{re.escape(key)}(?=\.|$)", own, text)
+            for name, text in (("key", self.key), ("where", self.where))
+        }
+        return InputError(self.file, self.problem, **(self._named() | renamed))
+
     def _named(self) -> dict[str, Any]:
         names = ("where", "found", "accepted", "key", "option", "others")
         return {name: getattr(self, name) for name in names}
+
+
+@contextmanager
+def naming_key(own: str, key: str) -> Iterator[None]:
+    """Name the key ``own`` in errors of a function that serves several keys and names ``key``."""
+    try:
+        yield
+    except InputError as refusal:
+        raise refusal.with_key(key, own) from None

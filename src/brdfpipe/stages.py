@@ -15,7 +15,7 @@ from pathlib import PurePath
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from brdfpipe.catalogue.calibration_keys import EmulatedCalibration
-from brdfpipe.catalogue.material import ROUTES, unused_keys
+from brdfpipe.catalogue.material import BASE_INDEX, OTHER_FACES, ROUTES, unused_keys
 from brdfpipe.catalogue.material_keys import (
     MEASURED_GLOSS,
     BeckmannSurface,
@@ -83,8 +83,8 @@ class Subject:
         """Whether the model is the cheapest that the scene allows; keys of ``model`` decide themselves."""
         content = self.owner.content
         unplanned = "flat", MEASURED_GLOSS
-        opaque_surface = "slab" not in content and content.get("surface", {}).get("distribution") not in unplanned
-        known = "surface" in content and "index" in content and opaque_surface and not content.get("model")
+        facets = not {"slab", "coat"} & set(content) and content.get("surface", {}).get("distribution") not in unplanned
+        known = "surface" in content and "index" in content and facets and not content.get("model")
         return self.scene is not None and self.scene.plans and self.route == "predicted" and known
 
     @property
@@ -195,7 +195,7 @@ def _has(part: str, words: str = "") -> Condition:
 
 _FULLEST = Condition("a scene with the fullest model", lambda subject: not subject.planned)
 _PLANNED = Condition(
-    "a scene with the cheapest model, `surface`, `index`, no `slab`, no `model`", lambda subject: subject.planned
+    "a scene with the cheapest model, `surface`, `index`, no `slab`, `coat` or `model`", lambda subject: subject.planned
 )
 
 
@@ -232,7 +232,8 @@ def _face_optics(subject: Subject) -> str:
 
 
 _WAVES = Condition("`model.optics` other than facets", lambda subject: optics_of(subject.section("model")) != "facets")
-_OPAQUE = Condition("no `slab`", lambda subject: "slab" not in subject.owner.content)
+_TWO_FACES = Condition("`slab` or `coat`", lambda subject: bool({"slab", "coat"} & set(subject.owner.content)))
+_ONE_FACE = Condition("no `slab` or `coat`", lambda subject: not _TWO_FACES.holds(subject))
 _KNOWN_BACK_ROUGHNESS = Condition(
     "`slab.back.file` or `slab.back.length`",
     lambda subject: subject.owner.has("back") and bool({"file", "length"} & set(subject.section("slab.back"))),  # type: ignore[union-attr]
@@ -254,7 +255,7 @@ def _masking(subject: Subject) -> str:
     named = (
         RECIPES.get(model.get("recipe", ""), MODEL_DEFAULTS)["masking"] if "masking" not in model else model["masking"]
     )
-    untraced = "slab" in subject.owner.content or not _MEASURED_RELIEF.holds(subject)
+    untraced = _TWO_FACES.holds(subject) or not _MEASURED_RELIEF.holds(subject)
     return SMITH_MASKINGS[0] if named == "auto" and untraced else str(named)
 
 
@@ -290,7 +291,7 @@ def _enabled(key: str) -> Condition:
 def _comparable(subject: Subject) -> bool:
     # A perfectly flat surface reflects into a single direction, for which no cell measures a BRDF.
     flat = subject.section("surface").get("distribution") == "flat"
-    mirrors = flat or (not _OPAQUE.holds(subject) and _has_waves_at_faces(subject))
+    mirrors = flat or (subject.owner.has("slab") and _has_waves_at_faces(subject))  # type: ignore[union-attr]
     return not mirrors and any(item.load == "sample" and item.side == "reflection" for item in subject.arrangements)
 
 
@@ -371,6 +372,15 @@ def _facet_model(subject: Subject, wildcards: Wildcards) -> dict[str, Any]:
     return chosen | {"masking": _masking(subject), "multiple_scattering": _multiple_scattering(subject)} | alone
 
 
+def _coated_model(subject: Subject, wildcards: Wildcards) -> dict[str, Any]:
+    return {"masking": _masking(subject)} | _word_of_base(subject, wildcards)
+
+
+def _word_of_base(subject: Subject, wildcards: Wildcards) -> dict[str, Any]:
+    """The word of a face of a coated body that is not described itself: flat or same."""
+    return {} if subject.owner.has("base") else {"base": subject.section(OTHER_FACES["base"])}  # type: ignore[union-attr]
+
+
 def _wave_model(subject: Subject, wildcards: Wildcards) -> dict[str, Any]:
     """The choices of waves with their defaults."""
     model = subject.section("model")
@@ -394,7 +404,7 @@ def source_of_bsdf(subject: Subject) -> str:
     """The stage whose dataset is the BSDF without the changes by the uncertainties of its inputs."""
     if subject.route != "predicted":
         return subject.route
-    return next(name for name in ("reference", "wave", "sheet", "predicted") if STAGES[name].jobs(subject))
+    return next(name for name in ("reference", "wave", "sheet", "coated", "predicted") if STAGES[name].jobs(subject))
 
 
 EVERYWHERE = Domain({"hemisphere": {"theta_i": [0, 90], "phi_i": [0, 360]}})
@@ -467,8 +477,13 @@ def _fitted_readings(subject: Subject, wildcards: Wildcards) -> dict[str, Any]:
 
 
 def _interior(subject: Subject, wildcards: Wildcards) -> dict[str, Any]:
-    slab = {key: value for key, value in subject.section("slab").items() if key != "back"}
-    return ({} if "absorption" in slab else {"internal_transmittance": 1}) | slab
+    body = "coat" if "coat" in subject.owner.content else "slab"
+    given = {key: value for key, value in subject.section(body).items() if key not in ("back", "base")}
+    return (
+        ({} if "absorption" in given else {"internal_transmittance": 1})
+        | given
+        | ({"body": body} if body == "coat" else {})
+    )
 
 
 def _page_parameters(subject: Subject, wildcards: Wildcards) -> dict[str, Any]:
@@ -616,6 +631,30 @@ _STAGES = (
         of_prediction=True,
     ),
     Stage(
+        "base_surface",
+        "the relief of the body below a coat",
+        when=_names_file("base_surface", OTHER_FACES["base"]),
+        keys=_block(OTHER_FACES["base"], _SCAN_KEYS),
+        kind="surface",
+        of_prediction=True,
+    ),
+    Stage(
+        "base_facets",
+        "the slope density of the body below a coat",
+        when=_has("base", f"`{OTHER_FACES['base']}`"),
+        keys=_block(OTHER_FACES["base"], _SLOPE_KEYS),
+        script="facets",
+        of_prediction=True,
+    ),
+    Stage(
+        "base_index",
+        "the refractive index of the body below a coat",
+        when=_has("coat"),
+        keys=StageKeys((BASE_INDEX,), (), lambda subject, _: {"index": subject.section(BASE_INDEX)}),
+        script="index",
+        of_prediction=True,
+    ),
+    Stage(
         "visibility",
         "the visibility of the facets, traced on their heights, where Smith's masking does not describe it",
         when=_MEASURED_RELIEF & _TRACED_MASKING & _PREDICTED & _FULLEST,
@@ -640,7 +679,7 @@ _STAGES = (
     Stage(
         "interreflection",
         "the light that the height map reflects more than once, traced on it, where there is enough of it",
-        when=_MEASURED_RELIEF & _TRACED_REFLECTIONS & _OPAQUE & _PREDICTED & _FULLEST,
+        when=_MEASURED_RELIEF & _TRACED_REFLECTIONS & _ONE_FACE & _PREDICTED & _FULLEST,
         keys=StageKeys(
             ("model.multiple_scattering",),
             (),
@@ -651,10 +690,14 @@ _STAGES = (
     ),
     Stage(
         "interior",
-        "the internal transmittance of a clear body",
-        when=_has("slab"),
+        "the internal transmittance of a clear body or a coat",
+        when=_TWO_FACES,
         keys=StageKeys(
-            ("slab.thickness", "slab.internal_transmittance", "slab.absorption", "slab.transmittance_uncertainty"),
+            tuple(
+                f"{body}.{key}"
+                for body in ("slab", "coat")
+                for key in ("thickness", "internal_transmittance", "absorption", "transmittance_uncertainty")
+            ),
             (),
             _interior,
         ),
@@ -669,7 +712,7 @@ _STAGES = (
     Stage(
         "predicted",
         "the BSDF that facets, index and spectrum predict",
-        when=_has("predicted", "`surface`, or a `spectrum` alone") & _OPAQUE & _PREDICTED & _FULLEST,
+        when=_has("predicted", "`surface`, or a `spectrum` alone") & _ONE_FACE & _PREDICTED & _FULLEST,
         keys=StageKeys(("model",), (), _facet_model),
         kind="bsdf",
         of_prediction=True,
@@ -684,9 +727,19 @@ _STAGES = (
         of_prediction=True,
     ),
     Stage(
+        "coated",
+        "the BSDF that both faces, both indices, the coat and the spectrum predict of a coated body",
+        when=_has("coat"),
+        keys=StageKeys(("model.masking", OTHER_FACES["base"]), (), _coated_model),
+        kind="bsdf",
+        memory=1500,
+        minutes=1,
+        of_prediction=True,
+    ),
+    Stage(
         "wave",
         "the BSDF that the roughness spectrum predicts by wave optics, joined with that of facets",
-        when=_has("predicted", "`surface`") & _KNOWN_ROUGHNESS & _WAVES & _OPAQUE & _PREDICTED & _FULLEST,
+        when=_has("predicted", "`surface`") & _KNOWN_ROUGHNESS & _WAVES & _ONE_FACE & _PREDICTED & _FULLEST,
         keys=StageKeys(("model",), (), _wave_model),
         kind="bsdf",
         of_prediction=True,
@@ -704,13 +757,13 @@ _STAGES = (
     Stage(
         "model_error",
         "the predicted BSDF beside rays and diffraction on its own scan",
-        when=_MEASURED_RELIEF & _OPAQUE & _CHECKED & _asked("model_error", "uncertainty"),
+        when=_MEASURED_RELIEF & _ONE_FACE & _CHECKED & _asked("model_error", "uncertainty"),
         of_prediction=True,
     ),
     Stage(
         "uncertainty",
         "the changes of the predicted BSDF by the uncertainties of its inputs",
-        when=_has("predicted") & _OPAQUE & _PREDICTED & _asked("uncertainty"),
+        when=_has("predicted") & _ONE_FACE & _PREDICTED & _asked("uncertainty"),
         of_prediction=True,
     ),
     Stage(
@@ -718,6 +771,16 @@ _STAGES = (
         "the changes of the BSDF of a clear body by the uncertainties of its inputs",
         when=_has("slab") & _asked("uncertainty"),
         kind="uncertainty",
+        of_prediction=True,
+    ),
+    Stage(
+        "coated_uncertainty",
+        "the changes of the BSDF of a coated body by the uncertainties of its inputs",
+        when=_has("coat") & _asked("uncertainty"),
+        keys=StageKeys((OTHER_FACES["base"],), (), _word_of_base),
+        kind="uncertainty",
+        memory=1500,
+        minutes=1,
         of_prediction=True,
     ),
     Stage(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import errno
 import os
 import re
@@ -14,6 +15,7 @@ from brdfpipe import catalogue
 from brdfpipe.catalogue import material_keys
 from brdfpipe.catalogue.config_keys import Config
 from brdfpipe.catalogue.material import unused_keys
+from brdfpipe.catalogue.raw_reading import describe_files
 from brdfpipe.comparison.measured_predicted import PRIOR_U
 from brdfpipe.descriptions import reading
 from brdfpipe.descriptions.keys import Keys, case_folded
@@ -109,7 +111,7 @@ def test_one_bad_material_stops_no_other(tmp_path: Path) -> None:
         (COLOUR + "exports: astm", r"accepted: a list: \[astm\]"),
         (
             FRONT + "slab: {}",
-            "slab: the key 'thickness' is missing; accepted: thickness of the body \\[mm\\], above 0 and at most 1000",
+            "slab: the key 'thickness' is missing; accepted: thickness of the body or of the coat \\[mm\\], above 0 and at most 1000",
         ),
         (FRONT + "slab: {thickness: 0}", "slab.thickness: not an accepted value; found 0"),
         (
@@ -149,7 +151,10 @@ def test_one_bad_material_stops_no_other(tmp_path: Path) -> None:
             "index.k: the body of a slab would be opaque",
         ),
         (FRONT + "model: {truth: use}", "model.truth: a reference solution needs a height map"),
-        (SCAN + "slab: {thickness: 1}\nmodel: {truth: use}", "model.truth: a clear body has no reference solution"),
+        (
+            SCAN + "slab: {thickness: 1}\nmodel: {truth: use}",
+            "model.truth: a clear or coated body has no reference solution",
+        ),
         (SCAN + "model: {truth: use, recipe: crf}", "model.truth: a reference solution couples its diffuse base"),
         (SCAN + "model: {truth: use, optics: wave}", "model.optics: `truth: use` takes the reference solution"),
         (SCAN + "model: {truth: use, masking: measured}", "model.masking: `truth: use` takes the reference solution"),
@@ -676,13 +681,22 @@ def test_a_wrong_reading_is_refused_by_its_key(tmp_path: Path, text: str, proble
         catalogue.check_formats(catalogue.load_material(folder, catalogue.load_config()))
 
 
-@pytest.mark.parametrize("back", ["", ", back: {distribution: measured-gloss}"])
-def test_a_clear_body_is_not_known_by_its_gloss(tmp_path: Path, back: str) -> None:
-    front = "beckmann, slope_rms: 0.1" if back else "measured-gloss"
-    text = f"surface: {{distribution: {front}}}\nindex: 1.5\nslab: {{thickness: 2{back}}}\nmeasured: {{gloss: {{20: 1, 60: 1}}}}\n"
-    with pytest.raises(
-        InputError, match=r"a clear body has gloss from both faces|the back of a clear body has no gloss"
-    ):
+@pytest.mark.parametrize(
+    ("front", "body", "problem"),
+    [
+        ("measured-gloss", "slab: {thickness: 2}", "has gloss from both faces"),
+        ("flat", "slab: {thickness: 2, back: {distribution: measured-gloss}}", "back.distribution: the other face"),
+        ("measured-gloss", "coat: {thickness: 2, base: {index: 1.5}}", "has gloss from both faces"),
+        (
+            "flat",
+            "coat: {thickness: 2, base: {index: 1.5, surface: {distribution: measured-gloss}}}",
+            "coat.base.surface.distribution: the other face",
+        ),
+    ],
+)
+def test_a_body_with_two_faces_is_not_known_by_its_gloss(tmp_path: Path, front: str, body: str, problem: str) -> None:
+    text = f"surface: {{distribution: {front}}}\nindex: 1.5\n{body}\nmeasured: {{gloss: {{20: 1, 60: 1}}}}\n"
+    with pytest.raises(InputError, match=problem):
         catalogue.load_material(write(tmp_path, "m", text), catalogue.load_config())
 
 
@@ -891,3 +905,63 @@ def test_every_key_of_a_scan_names_the_stage_that_reads_it() -> None:
 def test_a_missing_further_scan_is_named(tmp_path: Path) -> None:
     write(tmp_path, "m", "surface: {file: a.x3p, scans: [{file: b.x3p}]}\nindex: PP\n", a_x3p="x")
     assert "surface.scans" in catalogue.load(tmp_path).failures["m"]
+
+
+COATED = "surface: {distribution: flat}\nindex: 1.5\n"
+RED = "spectrum: {lab: [48, 34, 22], illuminant: D65, observer: 10, geometry: sci}\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [
+        ("index: 1.5\ncoat: {thickness: 1, base: {index: 1.5}}\n" + RED, "the key 'surface' is missing"),
+        (COATED + "coat: {thickness: 1}\n" + RED, "coat: the key 'base' is missing"),
+        (COATED + "coat: {base: {index: 1.5}}\n" + RED, "coat: the key 'thickness' is missing"),
+        (COATED + "coat: {thickness: 1, base: {index: {n: 1.2}}}\n", "coat.base.index: the key 'k' is missing"),
+        (
+            COATED + "coat: {thickness: 1, base: {index: {n: 1.2, k: 7}}}\n" + RED,
+            "spectrum: a metal sends back no light",
+        ),
+        (COATED + "coat: {thickness: 1, base: {index: 1.5}}\nslab: {thickness: 1}\n", "exclude each other"),
+        (COATED + "coat: {thickness: 1, base: {index: 1.5}}\nmodel: {optics: wave}\n" + RED, "model.optics"),
+        (
+            COATED + "coat: {thickness: 1, base: {index: 1.5}}\nmodel: {masking: liu}\n" + RED,
+            "a coat needs one of Smith's",
+        ),
+        (
+            COATED + "coat: {thickness: 1, base: {index: 1.5}}\nmodel: {diffuse: none}\n" + RED,
+            "a diffuse part of its own",
+        ),
+        (
+            COATED + "coat: {thickness: 1, absorption: 1, internal_transmittance: 1, base: {index: 1.5}}\n",
+            "exclude each other",
+        ),
+        (
+            "surface: {distribution: flat}\nindex: {n: 1.2, k: 7}\ncoat: {thickness: 1, base: {index: 1.5}}\n",
+            "the coat would be opaque",
+        ),
+    ],
+)
+def test_what_contradicts_a_coat_is_refused(tmp_path: Path, text: str, problem: str) -> None:
+    with pytest.raises(InputError, match=problem):
+        catalogue.load_material(write(tmp_path, "m", text), catalogue.load_config())
+
+
+def test_files_of_a_coat_are_checked_and_named_by_their_keys(tmp_path: Path) -> None:
+    base = "base: {index: {file: n.txt}, surface: {file: b.txt, unit: um, pitch: 1}}"
+    folder = write(tmp_path, "m", COATED + f"coat: {{thickness: 0.1, absorption: {{file: a.txt}}, {base}}}\n" + RED)
+    for name in ("n.txt", "b.txt", "a.txt"):
+        (folder / name).write_text("400 1.5\n500 1.5\n")
+    loaded = catalogue.load(tmp_path)
+    assert {part: path.name for part, path in loaded["m"].files.items()} == {
+        "base_surface": "b.txt",
+        "base_index": "n.txt",
+        "interior": "a.txt",
+    }
+    for part, key in (("base_index", "coat.base.index.file"), ("interior", "coat.absorption.file")):
+        kept = dataclasses.replace(loaded["m"], files={part: loaded["m"].files[part]})
+        with pytest.raises(InputError, match=f"set `{key}`"):
+            describe_files(loaded, kept)
+    kept = dataclasses.replace(loaded["m"], files={"base_surface": folder / "b.txt"})
+    with pytest.raises(InputError, match=r"set `coat\.base\.surface"):
+        describe_files(loaded, kept)

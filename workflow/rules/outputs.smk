@@ -7,6 +7,7 @@ use rule stage_template as bsdf with:
             "predicted",
             "wave",
             "sheet",
+            "coated",
             "reference",
             "flake",
             "imported",
@@ -14,6 +15,7 @@ use rule stage_template as bsdf with:
             "uncertainty",
             "flake_uncertainty",
             "sheet_uncertainty",
+            "coated_uncertainty",
         ),
     output:
         bsdf="{material}/bsdf.nc",

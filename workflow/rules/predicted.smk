@@ -1,4 +1,4 @@
-# From laboratory measurements to a BSDF: surface, facets, index, spectrum, microfacet model; of a clear body, both faces.
+# From laboratory measurements to a BSDF: surface, facets, index, spectrum, microfacet model; of a clear or coated body, both faces.
 
 
 use rule stage_template as surface with:
@@ -65,6 +65,27 @@ use rule stage_template as back_psd with:
         psd="{material}/back_psd.nc",
 
 
+use rule stage_template as base_surface with:
+    input:
+        raw=raw_file("base_surface"),
+    output:
+        surface="{material}/base_surface.nc",
+
+
+use rule stage_template as base_facets with:
+    input:
+        **results_of(surface="base_surface"),
+    output:
+        facets="{material}/base_facets.nc",
+
+
+use rule stage_template as base_index with:
+    input:
+        raw=raw_file("base_index"),
+    output:
+        index="{material}/base_index.nc",
+
+
 use rule stage_template as interior with:
     input:
         raw=raw_file("interior"),
@@ -123,6 +144,20 @@ use rule stage_template as sheet with:
         sheet="{material}/sheet.nc",
 
 
+use rule stage_template as coated with:
+    input:
+        **results_of(
+            "facets",
+            "base_facets",
+            "interior",
+            "index",
+            "base_index",
+            "spectrum",
+        ),
+    output:
+        coated="{material}/coated.nc",
+
+
 use rule stage_template as wave with:
     input:
         **results_of("predicted", "psd", "facets", "visibility", "index", "spectrum"),
@@ -172,3 +207,18 @@ use rule stage_template as sheet_uncertainty with:
         ),
     output:
         sheet_uncertainty="{material}/sheet_uncertainty.nc",
+
+
+use rule stage_template as coated_uncertainty with:
+    input:
+        **results_of(
+            "coated",
+            "facets",
+            "base_facets",
+            "interior",
+            "index",
+            "base_index",
+            "spectrum",
+        ),
+    output:
+        coated_uncertainty="{material}/coated_uncertainty.nc",

@@ -62,7 +62,9 @@ use rule stage_template as measured with:
 
 use rule stage_template as comparison with:
     input:
-        **results_of("predicted", "sheet", "wave", "facets", "index", "spectrum"),
+        **results_of(
+            "predicted", "sheet", "coated", "wave", "facets", "index", "spectrum"
+        ),
         primary="{material}/primary-reflection.nc",
     output:
         comparison="{material}/comparison.nc",

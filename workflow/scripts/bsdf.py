@@ -5,6 +5,7 @@ UNCERTAIN = {
     "predicted": "uncertainty",
     "wave": "uncertainty",
     "sheet": "sheet_uncertainty",
+    "coated": "coated_uncertainty",
     "flake": "flake_uncertainty",
 }
 """The stage with the changes of the BSDF of each route."""
@@ -17,7 +18,7 @@ def main(input, output, params):
     inputs = {name: store.open_dataset(path, kinds[name]) for name, path in input.items()}
     source = spec["route"]
     if source == "predicted":
-        source = next(name for name in ("reference", "wave", "sheet", "predicted") if name in inputs)
+        source = next(name for name in ("reference", "wave", "sheet", "coated", "predicted") if name in inputs)
     bsdf = inputs[source].assign_attrs(route=spec["route"])
     if (changes := inputs.get(UNCERTAIN.get(source, ""))) is not None:
         # The changes of variables stand beside these.

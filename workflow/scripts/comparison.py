@@ -4,7 +4,8 @@ from brdfpipe.comparison.measured_predicted import compare
 
 def main(input, output, params):
     """The measured BSDF beside the predicted one, and the inputs that would make them agree."""
-    inputs = {name.replace("sheet", "predicted"): store.open_dataset(path) for name, path in input.items()}
+    names = {"sheet": "predicted", "coated": "predicted"}
+    inputs = {names.get(name, name): store.open_dataset(path) for name, path in input.items()}
     store.save_dataset(
         compare(**inputs, **params["spec"]),
         output["comparison"],

@@ -1,14 +1,17 @@
 from pathlib import Path
 
 from brdfpipe import store
+from brdfpipe.errors import naming_key
 from brdfpipe.optics import interior
 
 
 def main(input, output, params):
-    """The internal transmittance of a clear body: a number or a table."""
+    """The internal transmittance of a clear body or a coat: a number or a table."""
     spec, raw = params["spec"], {name: Path(path) for name, path in input.items()}
+    with naming_key(spec.get("body", "slab"), "slab"):
+        passed = interior.ingest(spec, raw.get("raw"))
     store.save_dataset(
-        interior.ingest(spec, raw.get("raw")),
+        passed,
         output["interior"],
         stage="interior",
         material=params["material"],

@@ -6,7 +6,7 @@ from brdfpipe.report.material.page import material_page
 def main(input, output, params):
     """The page of a material."""
     spec = params["spec"]
-    with reading.opened(dict(input.items()), evaluated=("bsdf", "predicted", "sheet")) as datasets:
+    with reading.opened(dict(input.items()), evaluated=("bsdf", "predicted", "sheet", "coated")) as datasets:
         page = material_page(datasets, **spec)
     store.write_text(output["page"], page)
 

@@ -17,8 +17,11 @@ PREDICTION_INPUTS = (
     "facets",
     "back_surface",
     "back_facets",
+    "base_surface",
+    "base_facets",
     "spectrum",
     "index",
+    "base_index",
     "interior",
     "model_error",
     "uncertainty",
@@ -88,5 +91,5 @@ def is_metal(bsdf: xr.Dataset | None) -> bool:
 
 
 def has_no_diffuse_base(bsdf: xr.Dataset | None) -> bool:
-    """Whether no spectrum is needed: a metal, or a body that transmits, reflects no light diffusely from below its surface."""
-    return bsdf is not None and (representation(bsdf).transmits or is_metal(bsdf))
+    """Whether no spectrum is needed: a metal, also below a coat, or a body that transmits, reflects no light diffusely from below its surface."""
+    return bsdf is not None and (representation(bsdf).transmits or is_metal(bsdf) or bsdf.attrs.get("base") == "metal")

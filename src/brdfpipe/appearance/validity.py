@@ -51,6 +51,9 @@ ALIASED = 1.7
 
 LARGEST_JUDGED = 75.0
 """Angle of incidence up to which the error of the predicted light is judged [degree]; few maps are large enough beyond."""
+OF_COAT = "The face of a coat has facets alone: `surface: {distribution: flat}` describes a smooth one; compare with a measurement of gloss (`measured`)"
+"""What to do where waves are needed at the face of a coat."""
+
 REFERENCES = ("traced", "kirchhoff")
 """Representations that are reference solutions themselves."""
 
@@ -140,7 +143,7 @@ def _regime(datasets: Datasets) -> Judgement | None:
         return Judgement(condition, f"{finding}; waves and facets", "pass")
     if datasets["bsdf"].attrs["representation"] in REFERENCES:
         return Judgement(condition, f"{finding}; a reference solution on the map", "pass")
-    advice = "Set `model.optics: auto`"
+    advice = OF_COAT if _is_coated(datasets) else "Set `model.optics: auto`"
     if phase[20] < COHERENT_LIMIT:
         missing = f"{np.exp(-phase[20]):.0%} of the mirror reflection at 20° is coherent light, which facets leave out"
         return Judgement(condition, f"{finding}; {missing}", "fail", advice)
@@ -169,6 +172,10 @@ def _regime_of_face(datasets: Datasets, side: str) -> Judgement | None:
     if through < LIMITS[1]:
         return Judgement(condition, f"{finding}; facets need {LIMITS[1]:g} or more", "warn", advice)
     return Judgement(condition, f"{finding}; facets", "pass")
+
+
+def _is_coated(datasets: Datasets) -> bool:
+    return str(datasets["bsdf"].attrs["representation"]) == "coated"
 
 
 def _by_waves(datasets: Datasets) -> bool:
@@ -226,9 +233,10 @@ def _pitch(datasets: Datasets) -> Judgement | None:
     )
     if not with_waves and exponent + SIGNIFICANT * np.nan_to_num(uncertainty) < SLOPE_OF_FINITE_VARIANCE:
         finding += f"; the roughness spectrum falls as f^−{exponent:.2g}, so that slopes grow with every finer pitch"
-        return Judgement(
-            condition, finding, "warn", "Set `model.optics: auto`, or scan with a pitch near the wavelength"
-        )
+        advice = "Scan with a pitch near the wavelength"
+        if not _is_coated(datasets):
+            advice = "Set `model.optics: auto`, or scan with a pitch near the wavelength"
+        return Judgement(condition, finding, "warn", advice)
     return Judgement(condition, finding, "pass")
 
 
@@ -354,8 +362,8 @@ def _model_error(datasets: Datasets) -> Judgement | None:
     if (result := datasets.get("model_error")) is None:
         if "surface" not in datasets or datasets["bsdf"].attrs["representation"] in REFERENCES:
             return None
-        slab = datasets["bsdf"].attrs.get("transmission") == "slab"
-        advice = "Compare with a measurement" if slab else "Set `model.truth: check`"
+        two_faces = datasets["bsdf"].attrs.get("transmission") == "slab" or _is_coated(datasets)
+        advice = "Compare with a measurement" if two_faces else "Set `model.truth: check`"
         return Judgement(condition, "not computed", "", advice)
     peak = result.sel(region="peak", theta_i=result["theta_i"].values[result["theta_i"].values <= LARGEST_JUDGED])
     error = peak["light_error"].where(peak["valid"] > 0).transpose("reference", "plane", "theta_i").values

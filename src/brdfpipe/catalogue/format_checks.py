@@ -6,10 +6,10 @@ from collections.abc import Mapping
 from typing import Any
 
 from brdfpipe.catalogue.configuration import check_illuminant
-from brdfpipe.catalogue.material import Material, raw_files
+from brdfpipe.catalogue.material import BASE_INDEX, Material, at_key, raw_files
 from brdfpipe.catalogue.material_keys import MultiangleColours
 from brdfpipe.catalogue.names import DESCRIPTION
-from brdfpipe.errors import BrdfpipeError, InputError
+from brdfpipe.errors import BrdfpipeError, InputError, naming_key
 from brdfpipe.file_formats import extensions
 
 
@@ -30,7 +30,14 @@ def check_formats(material: Material) -> None:
     from brdfpipe.surfaces.selection import PICTURES
 
     spectra = extensions(SPECTRUM_FORMATS)
-    suffixes = {"spectrum": spectra, "spectrum_sce": spectra, "index": tuple(index.READERS), "mask": PICTURES}
+    of_index = tuple(index.READERS)
+    suffixes = {
+        "spectrum": spectra,
+        "spectrum_sce": spectra,
+        "index": of_index,
+        "base_index": of_index,
+        "mask": PICTURES,
+    }
     surface_suffixes = extensions(SURFACE_FORMATS)
     content = material.content
     for part, key, _ in raw_files(content):
@@ -41,15 +48,13 @@ def check_formats(material: Material) -> None:
         if part == "table":
             format_of(path, content["table"].get("format"))
             continue
-        block = content["slab"]["back"] if part == "back_surface" else content.get(part.partition("-")[0], {})
-        if key.startswith("spectrum."):
-            block = content["spectrum"][key.partition(".")[2]]
+        block = at_key(content, key)
         if part.startswith("surface-"):
             scan = content["surface"]["scans"][int(part.partition("-")[2]) - 2]
             alike = path.suffix.lower() == material.files["surface"].suffix.lower()
             block = block | scan if alike else scan
         accepted = surface_suffixes if is_surface else suffixes.get(part, TEXT_SUFFIXES)
-        named = part != "index" and "format" in block
+        named = "format" in block
         if path.suffix.lower() not in accepted and not named:
             raise InputError(
                 path,
@@ -62,6 +67,9 @@ def check_formats(material: Material) -> None:
             check_readable(path, block.get("format"))
     if material.has("index") and "index" not in material.files:
         refractive_index(content["index"])
+    if material.has("coat") and "base_index" not in material.files:
+        with naming_key(BASE_INDEX, "index"):
+            refractive_index(at_key(content, BASE_INDEX))
     if "illuminant" in content.get("spectrum", {}):
         check_illuminant(material.folder / DESCRIPTION, content["spectrum"]["illuminant"], "spectrum.illuminant")
     for number, colour in enumerate(content.get("measured", {}).get("lab", [])):

@@ -107,6 +107,12 @@ slab: {{thickness: 2, internal_transmittance: 0.95, transmittance_uncertainty: 0
 # … or with an absorption coefficient.
 slab: {{thickness: 2, absorption: {{file: absorption.txt, unit: 1/mm}}}}
 
+# A clear coat or a film on an opaque body: `surface` and `index` are those of the coat, `spectrum` is that of the coated body.
+coat: {{thickness: 0.04, base: {{index: 1.59, surface: flat}}}}
+
+# … on a metal with a surface of its own, without `spectrum`.
+coat: {{thickness: 0.04, absorption: 2, base: {{index: {{n: 1.2, k: 7.0}}, surface: {{distribution: beckmann, slope_rms: 0.1}}}}}}
+
 # Readings of the laboratory's own instruments, beside which the prediction is put.
 measured: {{gloss: {{20: 3.1, 60: 22.4, 85: 48}}, instrument: hand-held gloss meter, date: 2026-01-31}}
 
@@ -145,6 +151,8 @@ def key_tables() -> dict[str, dict[str, str]]:
             "surface": rendering.table(keys.Surface, "surface."),
             "spectrum": rendering.table(keys.Spectrum, "spectrum."),
             "slab": rendering.table(keys.Slab, "slab.", nested=False),
+            "coat": rendering.table(keys.Coat, "coat.", nested=False),
+            "coat.base": rendering.table(keys.CoatedBody, "coat.base.", nested=False),
             "multiangle": rendering.table(keys.Multiangle, "multiangle."),
             "measured": rendering.table(MeasuredReadings, "measured."),
             "table": rendering.table(keys.TableFile, "table."),

@@ -19,7 +19,12 @@ FILE_PARTS = ("surface", "index", "spectrum", "multiangle", "table")
 """Parts of a description that may name a raw file."""
 
 INTERIOR = ("internal_transmittance", "absorption")
-"""Keys of ``slab`` that may name a raw file."""
+"""Keys of ``slab`` and ``coat`` that may name a raw file."""
+
+OTHER_FACES = {"back": "slab.back", "base": "coat.base.surface"}
+"""The other face of a body with two: name in files and stages → its key."""
+
+BASE_INDEX = "coat.base.index"
 
 ROUTES = (("rig", "measured"), ("table", "imported"), ("multiangle", "flake"))
 """Parts of a description with a BSDF of their own, the preferred one first; without them the BSDF is predicted."""
@@ -33,18 +38,20 @@ class Material:
     folder: Path
     content: Mapping[str, Any]
     files: Mapping[str, Path]
-    """Part of the description (surface, mask, index, spectrum, spectrum_sce, back_surface, interior; surface-2 … for further scans; rig) → raw file."""
+    """Part of the description (surface, mask, index, spectrum, spectrum_sce, back_surface, base_surface, base_index, interior; surface-2 … for further scans;
+    rig) → raw file."""
     scene: Scene
     """What its results are for."""
 
     def has(self, part: str) -> bool:
-        """Whether the description has a part: surface, index, spectrum, multiangle, table, slab, back (a face of its own), or what a prediction needs."""
+        """Whether the description has a part: surface, index, spectrum, multiangle, table, slab, coat, back or base (a face of its own), or what a
+        prediction needs."""
         if part == "predicted":
             # Beside another route a spectrum alone is no prediction of a perfect diffuser.
             alone = not any(self.has(other) for other, _ in ROUTES)
             return "surface" in self.content or ("spectrum" in self.content and alone)
-        if part == "back":
-            return isinstance(self.content.get("slab", {}).get("back"), Mapping)
+        if part in OTHER_FACES:
+            return isinstance(at_key(self.content, OTHER_FACES[part]), Mapping)
         return part in self.content
 
     @property
@@ -103,16 +110,23 @@ def _scene_of(path: Path, content: Mapping[str, Any], config: Mapping[str, Any])
         raise InputError(path, str(error), where="scene", others=getattr(error, "others", ())) from None
 
 
+def at_key(content: Mapping[str, Any], key: str) -> Any:
+    """What a description has at a key, as ``slab.back``; None where it has nothing."""
+    found: Any = content
+    for name in key.split("."):
+        found = found.get(name) if isinstance(found, Mapping) else None
+    return found
+
+
 def raw_files(content: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
     """Part, key and name of each raw file of a description."""
-    slab = content.get("slab", {})
-    holders = [(part, part, content.get(part)) for part in FILE_PARTS]
-    holders += [("back_surface", "slab.back", slab.get("back"))]
-    pair = content.get("spectrum", {})
-    holders += [("spectrum", "spectrum.sci", pair.get("sci")), ("spectrum_sce", "spectrum.sce", pair.get("sce"))]
-    holders += [("mask", "surface.mask", content.get("surface", {}).get("mask"))]
-    holders += [("interior", f"slab.{key}", slab.get(key)) for key in INTERIOR]
-    for part, key, holder in holders:
+    holders = [(part, part) for part in FILE_PARTS]
+    holders += [(f"{face}_surface", key) for face, key in OTHER_FACES.items()]
+    holders += [("base_index", BASE_INDEX), ("spectrum", "spectrum.sci"), ("spectrum_sce", "spectrum.sce")]
+    holders += [("mask", "surface.mask")]
+    holders += [("interior", f"{body}.{key}") for body in ("slab", "coat") for key in INTERIOR]
+    for part, key in holders:
+        holder = at_key(content, key)
         if isinstance(holder, Mapping) and "file" in holder:
             yield part, key, holder["file"]
     for number, scan in enumerate(content.get("surface", {}).get("scans", []), start=2):
@@ -127,7 +141,7 @@ def unused_keys(content: Mapping[str, Any]) -> dict[str, str]:
     unused = {}
     if not predicts:
         why = f"the BRDF is that of `{route}`"
-        given = ("surface", "index", "index_uncertainty", "slab", "spectrum")
+        given = ("surface", "index", "index_uncertainty", "slab", "coat", "spectrum")
         unused = {key: why for key in given if key in content}
         if content.get("model"):
             unused["model"] = why
@@ -162,14 +176,15 @@ def start_material(folder: Path, name: str) -> Path:
 
 def summary_words(material: Material) -> list[str]:
     """The parts of a material in words, for ``brdfpipe check``."""
-    return [_part_words(part, material.content[part]) for part in (*FILE_PARTS, "slab", "rig") if material.has(part)]
+    parts = (*FILE_PARTS, "slab", "coat", "rig")
+    return [_part_words(part, material.content[part]) for part in parts if material.has(part)]
 
 
 def _part_words(part: str, content: Any) -> str:
     if not isinstance(content, Mapping):
         return f"{part} {content}"
-    if part == "slab":
-        return f"slab {content['thickness']:g} mm"
+    if part in ("slab", "coat"):
+        return f"{part} {content['thickness']:g} mm"
     if part == "rig":
         return f"rig run {content['run']}" if "run" in content else f"rig emulated with {content['emulate']['truth']}"
     if "k" in content:

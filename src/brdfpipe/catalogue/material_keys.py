@@ -417,7 +417,14 @@ def _index_form(index: Any) -> int:
 Index = Annotated[IndexPair | IndexFile | IndexNumber | IndexName, Choice(_index_form)]
 
 
-# --- slab
+def _refuse_index_without_k(index: Any) -> None:
+    if isinstance(index, IndexPair) and index.k is None:
+        from brdfpipe.optics.index import missing_k_error
+
+        raise missing_k_error("", index.n)
+
+
+# --- bodies with two faces: slab and coat
 
 
 class TransmittanceFile(Keys):
@@ -440,22 +447,22 @@ Transmittance = Annotated[float, Field(ge=0, le=1, description="a number from 0 
 Absorption = Annotated[
     float, Field(ge=0, le=10_000, description="a number from 0 to 10000, in 1/mm, or {file: table.txt}")
 ]
-Back = Annotated[str, OneOf(("same", "flat"))]
+LikeFront = Annotated[str, OneOf(("same", "flat"))]
 
 
-class Slab(Keys):
-    """A clear body with two faces."""
+class _Clear(Keys):
+    """What light passes between two faces."""
 
     not_together = (("internal_transmittance", "absorption"),)
 
-    thickness: float = key("thickness of the body", required=True, unit="mm", gt=0, le=1000, example=2)
+    thickness: float = key("thickness of the body or of the coat", required=True, unit="mm", gt=0, le=1000, example=2)
     internal_transmittance: Annotated[TransmittanceFile | Transmittance, Choice(mapping_or_value)] = key(
         "share of the light that passes from face to face at normal incidence, without the faces' reflection; a number from 0 to 1 or {file: …}",
         default_words="1",
         details="A file holds wavelength and value.",
     )
     absorption: Annotated[AbsorptionFile | Absorption, Choice(mapping_or_value)] = key(
-        "absorption coefficient a of the body in 1/mm, where exp(-a d) passes a path of d mm; a number or {file: …}",
+        "absorption coefficient a in 1/mm, where exp(-a d) passes a path of d mm; a number or {file: …}",
         default_words="instead of `internal_transmittance`",
     )
     transmittance_uncertainty: float = key(
@@ -465,11 +472,43 @@ class Slab(Keys):
         le=0.5,
         example=0.005,
     )
-    back: Annotated[Surface | Back, Choice(mapping_or_value)] = key(
+
+
+class Slab(_Clear):
+    """A clear body with two faces."""
+
+    back: Annotated[Surface | LikeFront, Choice(mapping_or_value)] = key(
         "the other face: same (like the front), flat (polished), or a surface of its own {file, …} or {distribution, …}",
         default="same",
         details="A surface of its own is described as seen from its own side, without `scans`.",
     )
+
+
+class CoatedBody(Keys):
+    """The opaque body below a clear coat."""
+
+    index: Index = key(
+        "refractive index of the body, as `index`: a number, a name, {n, k} of a metal or {file: …}",
+        required=True,
+        example=1.59,
+        details="That of the coat, if no light is reflected between both, as between a lacquer and the binder of a base coat.",
+    )
+    surface: Annotated[Surface | LikeFront, Choice(mapping_or_value)] = key(
+        "face between body and coat: flat, same (of the same slopes as the outer face), or a surface of its own {file, …} or {distribution, …}",
+        default="flat",
+        details="A surface of its own is described as seen from above, without `scans`.",
+    )
+
+    @model_validator(mode="after")
+    def _check_index(self) -> Self:
+        _refuse_index_without_k(self.index)
+        return self
+
+
+class Coat(_Clear):
+    """A clear coat, or a film, on an opaque body."""
+
+    base: CoatedBody = key("the opaque body below {index, surface}", required=True)
 
 
 # --- spectrum
@@ -985,9 +1024,9 @@ class Material(Keys):
 
     at_least_one = ("surface", "spectrum", "multiangle", "table", "rig")
     not_together = tuple(
-        ("table", other) for other in ("surface", "index", "slab", "spectrum", "multiangle", "rig", "model")
+        ("table", other) for other in ("surface", "index", "slab", "coat", "spectrum", "multiangle", "rig", "model")
     )
-    requires = {"surface": "index", "slab": "surface", "index_uncertainty": "index"}  # noqa: RUF012
+    requires = {"surface": "index", "slab": "surface", "coat": "surface", "index_uncertainty": "index"}  # noqa: RUF012
 
     name: str = key(NAME_WORDS, default_words="the name of the folder", pattern=f"^{NAME}$")
     description: str = key(
@@ -1012,6 +1051,10 @@ class Material(Keys):
     slab: Slab = key(
         "a clear body with two faces {thickness, internal_transmittance or absorption, back}; `surface` is its front",
         details="It replaces `spectrum`. See [clear bodies](#clear-bodies).",
+    )
+    coat: Coat = key(
+        "a clear coat or film on an opaque body {thickness, internal_transmittance or absorption, base}; `surface` and `index` are those of the coat",
+        details="`spectrum` is that of the coated body. See [coated bodies](#coated-bodies).",
     )
     spectrum: Spectrum = key("a measured total reflectance {file, geometry, …} or a colour {lab, geometry, …}")
     multiangle: Multiangle = key(
@@ -1050,27 +1093,28 @@ class Material(Keys):
 
     @model_validator(mode="after")
     def _check_index(self) -> Self:
-        if isinstance(self.index, IndexPair) and self.index.k is None:
-            from brdfpipe.optics.index import missing_k_error
-
-            raise missing_k_error("", self.index.n)
+        _refuse_index_without_k(self.index)
         return self
 
     @model_validator(mode="after")
     def _check_gloss_finish(self) -> Self:
         """Refuse a finish of gloss readings without them, or where they are those of two faces."""
         accepted = "`measured.gloss` at two or three of 20, 60 and 85 degree"
-        if self.slab is not None and isinstance(self.slab.back, GlossSurface):
-            problem, accepted = "the back of a clear body has no gloss of its own", "same, flat, or another surface"
-            raise InputError("", problem, where="slab.back.distribution", found=repr(MEASURED_GLOSS), accepted=accepted)
+        if self.two_faces is not None and isinstance(self.two_faces[2], GlossSurface):
+            problem, accepted = (
+                "the other face of a clear or coated body has no gloss of its own",
+                "same, flat, or another surface",
+            )
+            where = f"{self.two_faces[1]}.distribution"
+            raise InputError("", problem, where=where, found=repr(MEASURED_GLOSS), accepted=accepted)
         if not isinstance(self.surface, GlossSurface):
             return self
         readings = None if self.measured is None else self.measured.gloss
         found = 0 if readings is None else len(readings.model_fields_set)
         problem = "the gloss readings are missing" if found == 0 else "one gloss reading alone" if found == 1 else ""
-        if self.slab is not None:
-            problem = "a clear body has gloss from both faces"
-            accepted = f"no `slab`, or another finish than {MEASURED_GLOSS}"
+        if self.two_faces is not None:
+            problem = "a clear or coated body has gloss from both faces"
+            accepted = f"no `{self.two_faces[0]}`, or another finish than {MEASURED_GLOSS}"
         if problem:
             raise InputError("", problem, where="surface.distribution", found=repr(MEASURED_GLOSS), accepted=accepted)
         return self
@@ -1134,48 +1178,87 @@ class Material(Keys):
         """Refuse a reference solution in place of the prediction where there is no height map to compute it on."""
         if self.model.truth != "use":
             return self
-        accepted = f"a measured `surface` without `slab`, or {' or '.join(name for name in TRUTHS if name != 'use')}"
+        accepted = (
+            f"a measured `surface` without `slab` or `coat`, or {' or '.join(name for name in TRUTHS if name != 'use')}"
+        )
         for problem, found in (
             (
                 "a reference solution needs a height map, and the surface is not measured",
                 not isinstance(self.surface, MeasuredSurface),
             ),
-            ("a clear body has no reference solution", self.slab is not None),
+            ("a clear or coated body has no reference solution", self.two_faces is not None),
             ("a reference solution couples its diffuse base", "crf" in (self.model.diffuse, self.model.recipe)),
         ):
             if found:
                 raise InputError("", problem, where="model.truth", found="'use'", accepted=accepted)
         return self
 
+    @property
+    def two_faces(self) -> tuple[str, str, Any] | None:
+        """Of a clear body or a coated one: its key, the key of its other face, and that face."""
+        if self.slab is not None:
+            return "slab", "slab.back", self.slab.back
+        return None if self.coat is None else ("coat", "coat.base.surface", self.coat.base.surface)
+
+    @model_validator(mode="after")
+    def _check_two_faces(self) -> Self:
+        """Refuse keys that contradict a body with two faces."""
+        if self.two_faces is None:
+            return self
+        key, other_key, other = self.two_faces
+        if self.slab is not None and self.coat is not None:
+            problem, accepted = (
+                "`slab` and `coat` exclude each other",
+                "`slab`, a clear body, or `coat`, on an opaque one",
+            )
+            raise InputError("", problem, accepted=accepted)
+        if self.model.effective_masking not in ("auto", *SMITH_MASKINGS):
+            problem, accepted = f"a {key} needs one of Smith's maskings", ", ".join(SMITH_MASKINGS)
+            masking = repr(self.model.recipe or self.model.masking)
+            raise InputError("", problem, where="model.masking", found=masking, accepted=accepted)
+        base = (
+            "the body below a coat has a diffuse part of its own" if self.coat else "a clear body has no diffuse base"
+        )
+        for name, problem in (
+            ("diffuse", base),
+            ("multiple_scattering", f"a {key} always includes the light that its facets reflect more than once"),
+        ):
+            if (value := getattr(self.model, name)) is not None:
+                accepted = f"`{key}` without `model.{name}`"
+                raise InputError("", problem, where=f"model.{name}", found=repr(value), accepted=accepted)
+        if isinstance(self.index, IndexPair) and self.index.k > 0:
+            what = "body of a slab" if self.slab else "coat"
+            problem = f"the {what} would be opaque: an extinction coefficient absorbs all light within micrometres"
+            accepted = f"k of 0; give its absorption by `{key}.internal_transmittance` or `{key}.absorption`"
+            raise InputError("", problem, where="index.k", found=self.index.k, accepted=accepted)
+        if isinstance(other, MeasuredSurface) and other.scans is not None:
+            problem = "further scans are accepted for the front alone"
+            raise InputError("", problem, where=f"{other_key}.scans", accepted="one file")
+        return self
+
     @model_validator(mode="after")
     def _check_slab(self) -> Self:
-        """Refuse keys that contradict a clear body."""
-        if self.slab is None:
-            return self
-        if self.spectrum is not None:
+        """Refuse a spectrum of a clear body."""
+        if self.slab is not None and self.spectrum is not None:
             problem = "`slab` and `spectrum` exclude each other: a clear body has no diffuse base, its colour is from absorption"
             accepted = (
                 "`slab` with `internal_transmittance` or `absorption`; or `spectrum` without `slab`, for an opaque body"
             )
             raise InputError("", problem, accepted=accepted)
-        if self.model.effective_masking not in ("auto", *SMITH_MASKINGS):
-            problem, accepted = "a slab needs one of Smith's maskings", ", ".join(SMITH_MASKINGS)
-            masking = repr(self.model.recipe or self.model.masking)
-            raise InputError("", problem, where="model.masking", found=masking, accepted=accepted)
-        for name, problem in (
-            ("diffuse", "a clear body has no diffuse base"),
-            ("multiple_scattering", "a slab always includes the light that its facets reflect more than once"),
-        ):
-            if (value := getattr(self.model, name)) is not None:
-                accepted = f"`slab` without `model.{name}`"
-                raise InputError("", problem, where=f"model.{name}", found=repr(value), accepted=accepted)
-        if isinstance(self.index, IndexPair) and self.index.k > 0:
-            problem = (
-                "the body of a slab would be opaque: an extinction coefficient absorbs all light within micrometres"
+        return self
+
+    @model_validator(mode="after")
+    def _check_coat(self) -> Self:
+        """Refuse keys that contradict a coated body."""
+        if self.coat is None:
+            return self
+        if isinstance(self.coat.base.index, IndexPair) and self.spectrum is not None:
+            problem, accepted = (
+                "a metal sends back no light from below its face",
+                "`coat` on a metal without `spectrum`",
             )
-            accepted = "k of 0; give the absorption of the body by `slab.internal_transmittance` or `slab.absorption`"
-            raise InputError("", problem, where="index.k", found=self.index.k, accepted=accepted)
-        if isinstance(self.slab.back, MeasuredSurface) and self.slab.back.scans is not None:
-            problem = "further scans are accepted for the front alone"
-            raise InputError("", problem, where="slab.back.scans", accepted="one file")
+            raise InputError("", problem, where="spectrum", accepted=accepted)
+        if self.model.optics not in (None, "auto", "facets"):
+            problem, found = "a coat has facets alone", repr(self.model.optics)
+            raise InputError("", problem, where="model.optics", found=found, accepted="facets, with `coat`")
         return self

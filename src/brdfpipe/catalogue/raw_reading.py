@@ -11,8 +11,8 @@ import xarray as xr
 
 from brdfpipe import vocabulary
 from brdfpipe.catalogue.catalogue import Catalogue
-from brdfpipe.catalogue.material import Material
-from brdfpipe.errors import BrdfpipeError, InputError, abbreviated, shortened
+from brdfpipe.catalogue.material import BASE_INDEX, OTHER_FACES, Material
+from brdfpipe.errors import BrdfpipeError, InputError, abbreviated, naming_key, shortened
 from brdfpipe.stages import STAGES, Subject
 
 _READ_BY = {"table": "imported"}
@@ -40,7 +40,7 @@ def describe_files(catalogue: Catalogue, material: Material) -> list[str]:
         stage = STAGES[_READ_BY.get(name, "scan" if number else name)]
         spec = stage.parameters(Subject(material, catalogue.config), {"scan": number} if number else {})
         beside = material.files.get({"surface": "mask", "spectrum": "spectrum_sce"}.get(part, ""))
-        dataset = _read(name, path, spec, beside)
+        dataset = _read(name, path, spec, beside, "coat" if material.has("coat") else "slab")
         lines += _words(path, name, dataset)
         if name == "surface":
             scans.append(dataset)
@@ -49,8 +49,8 @@ def describe_files(catalogue: Catalogue, material: Material) -> list[str]:
     return lines
 
 
-def _read(part: str, path: Path, spec: dict[str, Any], beside: Path | None) -> xr.Dataset:
-    """The dataset of a file, by the function of the stage that reads it."""
+def _read(part: str, path: Path, spec: dict[str, Any], beside: Path | None, body: str) -> xr.Dataset:
+    """The dataset of a file, by the function of the stage that reads it; ``body`` is the key of what has an interior."""
     from brdfpipe.exchange.reading import read as read_table
     from brdfpipe.flakes.reading import ingest as read_colours
     from brdfpipe.optics.index import refractive_index
@@ -58,23 +58,20 @@ def _read(part: str, path: Path, spec: dict[str, Any], beside: Path | None) -> x
     from brdfpipe.spectra.ingestion import ingest as read_spectrum
     from brdfpipe.surfaces.reading import ingest as read_surface
 
-    if part == "index":
-        return refractive_index(spec["index"], path, uncertainty=spec.get("index_uncertainty"))
+    if part in ("index", "base_index"):
+        with naming_key(BASE_INDEX if part == "base_index" else "index", "index"):
+            return refractive_index(spec["index"], path, uncertainty=spec.get("index_uncertainty"))
     if part == "table":
         return read_table(path, **spec)
     if part == "spectrum":
         return read_spectrum(spec, path, excluded=beside)
     if part == "interior":
-        return read_interior(spec, path)
+        with naming_key(body, "slab"):
+            return read_interior(spec, path)
     if part == "multiangle":
         return read_colours(spec, path)
-    try:
+    with naming_key(OTHER_FACES.get(part.removesuffix("_surface"), "surface"), "surface"):
         return read_surface(path, spec, beside)
-    except InputError as refusal:
-        if part != "back_surface":
-            raise
-        key = refusal.key and refusal.key.replace("surface", "slab.back", 1)
-        raise InputError(**(vars(refusal) | {"key": key})) from None
 
 
 def _check_scans(catalogue: Catalogue, material: Material, scans: list[xr.Dataset]) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 import xarray as xr
 
 from brdfpipe import vocabulary
-from brdfpipe.errors import InputError
+from brdfpipe.errors import InputError, naming_key
 from brdfpipe.spectra.readers import check_geometry, check_incidence, read_spectrum
 from brdfpipe.spectra.recovery import index_words, recover, specular_reflectance
 
@@ -81,11 +81,8 @@ def _pair(
     common = {key: spec[key] for key in ("reflectance_uncertainty",) if key in spec}
     parts = {}
     for geometry, file in (("sci", path), ("sce", excluded)):
-        try:
+        with naming_key(f"spectrum.{geometry}", "spectrum"):
             parts[geometry] = ingest({**spec[geometry], **common, "geometry": geometry}, file, index)
-        except InputError as refusal:
-            key = refusal.key and refusal.key.replace("spectrum.", f"spectrum.{geometry}.", 1)
-            raise InputError(**(vars(refusal) | {"key": key})) from None
     included, without = parts["sci"], parts["sce"]
     nm = included["wavelength"].values
     ends = {"left": np.nan, "right": np.nan}

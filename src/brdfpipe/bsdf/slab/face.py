@@ -461,6 +461,9 @@ def balance(
     shares are lowered to it. The last steps only shrink, so that no sum exceeds its share.
     """
     carried = float(row_root**2 @ rows), float(column_root**2 @ columns)
+    if min(carried) <= _TINY:
+        # Faces between equal indices reflect nothing.
+        return np.zeros_like(kernel[..., 0]), 0.0
     rows, columns = rows * min(1.0, carried[1] / carried[0]), columns * min(1.0, carried[0] / carried[1])
     roots = np.multiply.outer(row_root, column_root)
     zeroth = kernel @ azimuths.integrals(np.zeros(1))[:, 0] * roots

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 import xarray as xr
@@ -47,6 +48,9 @@ _GEOMETRY_NOTE = (
 _INCIDENCES = np.array([0.0, 30.0, 60.0, 75.0, 85.0])
 _LEAST_OF_FACETS = 1e-3
 """Share of the reflection at these incidences from which masking of facets matters."""
+
+_MIDDLE, _LIT = 550.0, 8.0
+_COAT_NOTE = "At 550 nm. Not modelled: interference, a coat that follows the relief below it, and roughness of the size of the wavelength at either face."
 
 _LINES_F_D_C = np.array([486.1, 587.6, 656.3])
 """Wavelengths at which refractive indices are quoted [nm]."""
@@ -149,13 +153,59 @@ def effect_pigment_section(datasets: Mapping[str, xr.Dataset]) -> Section:
     return section
 
 
+# --- a coat on an opaque body
+
+
+def coat_section(datasets: Mapping[str, xr.Dataset]) -> Section:
+    """The coat and the body below it, and where the light comes from."""
+    section = Section("Coat")
+    coated = datasets.get("coated")
+    if coated is None:
+        return section
+    if "base_facets" in datasets:
+        section.figures += [
+            replace(figure, title=f"{figure.title}, face of the body below")
+            for figure in facet_figures(datasets["base_facets"], masks=False)
+        ]
+    section.tables.append(Table("Coat and body", ("Quantity", "Value"), _coat_rows(datasets, coated), _COAT_NOTE))
+    return section
+
+
+def _coat_rows(datasets: Mapping[str, xr.Dataset], coated: xr.Dataset) -> list[tuple[str, str]]:
+    rows = []
+    if "interior" in datasets:
+        interior = datasets["interior"]
+        rows += [
+            ("Thickness of the coat", quantity(interior["thickness"])),
+            ("Internal transmittance of the coat", number(_at_middle(interior["internal_transmittance"]))),
+        ]
+    rows.append(("Index of the coat", fixed(_at_middle(coated["n"]), 4)))
+    if "base_index" in datasets:
+        n, k = (_at_middle(datasets["base_index"][name]) for name in ("n", "k"))
+        rows.append(("Index of the body", fixed(n, 4) + (f" + {fixed(k, 4)} i" if k else "")))
+    if "base_facets" in datasets:
+        rows.append(("rms slope of the face of the body", quantity(datasets["base_facets"]["slope_rms"])))
+    model, lit = representation(coated), (np.array([_LIT]), np.zeros(1))
+    dark = representation(coated.assign(body_weight=xr.zeros_like(coated["body_weight"])))
+    nm = np.array([_MIDDLE])
+    faces, total = (float(one.albedo(*lit, nm)[0, 0]) for one in (dark, model))
+    rows.append((f"Light that both faces reflect, at {_LIT:g}° incidence", f"{faces:.2%}"))
+    rows.append((f"Light that comes back from the body, at {_LIT:g}°", f"{total - faces:.2%}"))
+    return rows
+
+
+def _at_middle(spectral: xr.DataArray) -> float:
+    return float(np.interp(_MIDDLE, spectral["wavelength"].values, spectral.values))
+
+
 # --- spectrum and refractive index
 
 
 def spectrum_section(datasets: Mapping[str, xr.Dataset]) -> Section:
     """Spectrum and refractive index, the inputs of the modelled BRDF."""
     section = Section("Spectrum and index")
-    model = datasets.get("predicted", datasets.get("sheet")) if is_measured(datasets) else datasets.get("bsdf")
+    predictions = [datasets[name] for name in ("predicted", "sheet", "coated") if name in datasets]
+    model = next(iter(predictions), None) if is_measured(datasets) else datasets.get("bsdf")
     if "spectrum" in datasets:
         section.figures.append(spectrum_figure(datasets["spectrum"], model))
         section.tables += filter(None, [_recovery_table(datasets["spectrum"])])

@@ -25,7 +25,13 @@ from brdfpipe.report.formatting import colour
 from brdfpipe.report.material.checks import checks_section, exports_table, provenance
 from brdfpipe.report.material.colour import colour_section
 from brdfpipe.report.material.head import key_numbers, picture
-from brdfpipe.report.material.inputs import effect_pigment_section, facet_section, spectrum_section, surface_section
+from brdfpipe.report.material.inputs import (
+    coat_section,
+    effect_pigment_section,
+    facet_section,
+    spectrum_section,
+    surface_section,
+)
 from brdfpipe.report.material.model_error import model_error_section
 from brdfpipe.report.material.plan import choice_words, plan_section
 from brdfpipe.report.material.readings import readings_section
@@ -69,6 +75,7 @@ def material_page(
         surface_section(known),
         roughness_section(known),
         facet_section(known),
+        coat_section(known),
         model_error_section(known),
         plan_section(known),
     ]
