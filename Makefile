@@ -12,10 +12,10 @@ PYTEST := OPENBLAS_NUM_THREADS=1 PYTHONDONTWRITEBYTECODE= $(BIN)/python -m pytes
 
 # An environment holds the path of its checkout: a copied or moved one would run the code of the old place, so it is made anew.
 ifneq ($(shell cat $(VENV)/.place 2>/dev/null),$(CURDIR))
-$(VENV)/bin/python $(VENV)/.runtime $(VENV)/.dev $(VENV)/.instruments $(VENV)/.peers $(VENV)/.cluster: moved
+$(VENV)/bin/python $(VENV)/.runtime $(VENV)/.dev $(VENV)/.instruments $(VENV)/.peers $(VENV)/.cluster $(VENV)/.docs: moved
 endif
 
-.PHONY: moved help catalogue check instruments peers cluster slurm test test-full lint format lock keys examples benchmark accuracy tradeoff extremes rig-accuracy clean
+.PHONY: moved help catalogue check instruments peers cluster slurm test test-full lint docs figures format lock keys examples benchmark accuracy tradeoff extremes rig-accuracy clean
 .DEFAULT_GOAL := help
 
 help:  ## list the targets
@@ -48,6 +48,12 @@ lint: $(VENV)/.dev  ## format check, lint, types, workflow lint
 	@$(BIN)/snakefmt --check Snakefile workflow
 	@$(BIN)/mypy
 	@$(BIN)/snakemake --lint --config catalogue="$(CURDIR)/examples"
+
+docs: $(VENV)/.docs  ## build the documentation site into site/ from docs/ and the docstrings; warnings are errors
+	@$(BIN)/python -m sphinx -q -W --keep-going -b html docs site
+
+figures: $(VENV)/.docs  ## draw the figures of the documentation anew, from the examples
+	@$(BIN)/python docs/make_figures.py
 
 format: $(VENV)/.dev  ## format the sources
 	@$(BIN)/ruff format .
@@ -114,6 +120,11 @@ $(VENV)/.dev: requirements-dev.lock $(VENV)/.runtime
 $(VENV)/.instruments: requirements-instruments.lock $(VENV)/.runtime
 	@echo "Adding what instruments need from requirements-instruments.lock (once)"
 	@$(PIP) install --require-hashes --no-deps -r requirements-instruments.lock
+	@touch $@
+
+$(VENV)/.docs: requirements-docs.lock $(VENV)/.runtime
+	@echo "Adding what the documentation site needs from requirements-docs.lock (once)"
+	@$(PIP) install --require-hashes --no-deps -r requirements-docs.lock
 	@touch $@
 
 $(VENV)/.peers: requirements-peers.lock $(VENV)/.dev

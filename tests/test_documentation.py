@@ -1,19 +1,24 @@
-"""Every Python example of the documentation runs as it stands."""
+"""Every Python example and every command of the documentation runs as it stands."""
 
 from __future__ import annotations
 
+import ast
 import importlib
+import json
 import re
 import shlex
+import shutil
 from pathlib import Path
 
+import click
 import pytest
 import samples
 import xarray as xr
+from built_examples import build_examples
 from click.testing import CliRunner
 from source_tree import PACKAGE, modules
 
-from brdfpipe import exchange, flakes, spectra, store
+from brdfpipe import appearance, exchange, flakes, spectra, store
 from brdfpipe.bsdf import flake, lambert_gauss
 from brdfpipe.catalogue import generated_files
 from brdfpipe.cli.main import main
@@ -23,7 +28,7 @@ from brdfpipe.stages import STAGES
 
 PROJECT = Path(__file__).parents[1]
 PAGES = [PROJECT / "README.md", PROJECT / "CONTRIBUTING.md", *sorted((PROJECT / "docs").rglob("*.md"))]
-FILE_TYPES = ("csv", "html", "json", "nc", "py", "pyi", "yaml")
+FILE_TYPES = ("csv", "html", "ipynb", "json", "nc", "py", "pyi", "yaml")
 
 
 def examples(document: str) -> list[str]:
@@ -69,11 +74,23 @@ def test_the_examples_of_the_model_run() -> None:
     assert names["lacquer"].attrs["representation"] == "coated"  # type: ignore[attr-defined]
 
 
-def commands(page: Path) -> list[list[str]]:
-    """The words of the commands ``brdfpipe convert``, ``compare`` and ``formats`` in the blocks of a page."""
+@pytest.mark.parametrize("page", ["exchange", "metrics", "veiling-glare"])
+def test_the_examples_of_a_page_with_a_bsdf_run(page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    one, other = samples.beckmann_bsdf(0.4), samples.beckmann_bsdf(0.35)
+    assert run(f"docs/{page}.md", {"material": one, "candidate": one, "reference": other, "appearance": appearance})
+
+
+def sh_commands(page: Path) -> list[list[str]]:
+    """The words of every command ``brdfpipe …`` in the shell blocks of a page."""
     blocks = re.findall(r"^```sh\n(.*?)^```$", page.read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL)
     lines = [shlex.split(line, comments=True) for block in blocks for line in block.splitlines()]
-    return [line[1:] for line in lines if line[:1] == ["brdfpipe"] and line[1] in ("convert", "compare", "formats")]
+    return [line[1:] for line in lines if line[:1] == ["brdfpipe"]]
+
+
+def commands(page: Path) -> list[list[str]]:
+    """The words of the commands ``brdfpipe convert``, ``compare`` and ``formats`` in the blocks of a page."""
+    return [words for words in sh_commands(page) if words[0] in ("convert", "compare", "formats")]
 
 
 EXCHANGE_PAGES = [PROJECT / "docs" / "exchange.md", *sorted((PROJECT / "docs" / "programs").glob("*.md"))]
@@ -95,6 +112,115 @@ def test_the_commands_of_a_page_on_other_programs_run(
     for words in found:
         result = CliRunner().invoke(main, words)
         assert result.exit_code == 0, (words, result.output)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_every_command_of_a_page_exists_with_its_options(page: Path) -> None:
+    for words in sh_commands(page):
+        command: click.Command = main
+        while isinstance(command, click.Group):
+            assert words[0] in command.commands, words
+            command, words = command.commands[words[0]], words[1:]
+        context = click.Context(command)
+        command.make_parser(context).parse_args(list(words))
+
+
+TAUGHT = [PROJECT / "docs" / f"{name}.md" for name in ("tutorial", "commands", "notebook")]
+TAUGHT += sorted((PROJECT / "docs" / "guides").glob("*.md"))
+"""Pages whose commands and Python are run one after the other, in a folder with the catalogue ``materials`` and its ``results``."""
+
+
+@pytest.fixture
+def taught(made_once, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:  # type: ignore[no-untyped-def]
+    base = made_once("workflow", build_examples)
+    shutil.copytree(base / "catalogue", tmp_path / "materials")
+    shutil.copytree(base / "results", tmp_path / "results", symlinks=True)
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def run_page(page: Path, left_out: tuple[str, ...]) -> None:
+    """Run the blocks of a page in their order; commands whose first word is left out are not run."""
+    names: dict[str, object] = {}
+    text = page.read_text(encoding="utf-8")
+    for kind, code in re.findall(r"^```(python|sh)\n(.*?)^```$", text, flags=re.MULTILINE | re.DOTALL):
+        if kind == "python":
+            exec(compile(code, page.name, "exec"), names)
+            continue
+        for line in code.splitlines():
+            words = [
+                str(part)
+                for word in shlex.split(line, comments=True)
+                for part in (sorted(Path().glob(word)) if "*" in word else [word])
+            ]
+            if words and words[1] not in left_out:
+                assert words[0] == "brdfpipe", line
+                result = CliRunner().invoke(main, words[1:])
+                assert result.exit_code == 0, (line, result.output)
+
+
+@pytest.mark.parametrize("page", TAUGHT, ids=lambda page: page.name)
+def test_what_a_page_teaches_runs(page: Path, taught: Path) -> None:
+    if "plot" in page.read_text(encoding="utf-8"):
+        pytest.importorskip("matplotlib")
+    run_page(page, ("examples", "build", "doctor"))
+
+
+@pytest.mark.slow
+def test_the_tutorial_runs_from_an_empty_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    run_page(PROJECT / "docs" / "tutorial.md", ())
+    assert (tmp_path / "grain.svg").stat().st_size > 10_000
+
+
+def test_no_page_has_python_that_no_test_runs() -> None:
+    elsewhere = {"README.md", "materials.md", "model.md", "exchange.md", "metrics.md", "veiling-glare.md"}
+    elsewhere |= {"rig.md"}  # tests/rig/test_documentation.py
+    with_mitsuba_or_radiance = {"mitsuba.md", "radiance.md"}  # which `make peers` installs
+    with_python = {page for page in PAGES if "\n```python\n" in page.read_text(encoding="utf-8")}
+    assert {page.name for page in with_python - set(TAUGHT)} <= elsewhere | with_mitsuba_or_radiance
+
+
+@pytest.mark.parametrize(
+    "notebook", sorted((PROJECT / "docs" / "notebooks").glob("*.ipynb")), ids=lambda path: path.stem
+)
+def test_a_notebook_runs_and_its_figures_are_shown(
+    notebook: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("matplotlib")
+    monkeypatch.chdir(tmp_path)
+    names: dict[str, object] = {}
+    figures = 0
+    for cell in json.loads(notebook.read_text(encoding="utf-8"))["cells"]:
+        assert not cell.get("outputs"), "notebooks are kept without results"
+        if cell["cell_type"] != "code":
+            continue
+        body = ast.parse("".join(cell["source"])).body
+        shown = body.pop() if isinstance(body[-1], ast.Expr) else None
+        exec(compile(ast.Module(body, []), notebook.name, "exec"), names)
+        if isinstance(shown, ast.Expr):
+            value = eval(compile(ast.Expression(shown.value), notebook.name, "eval"), names)
+            figures += hasattr(value, "_repr_png_") and value._repr_png_().startswith(b"\x89PNG")
+    assert figures >= 2
+
+
+def test_every_picture_of_a_page_is_there_and_every_figure_is_used(tmp_path: Path) -> None:
+    shown = {
+        (page.parent / path).resolve()
+        for page in PAGES
+        for path in re.findall(r"!\[[^\]]*\]\(([^)]+)\)", page.read_text(encoding="utf-8"))
+    }
+    assert {path for path in shown if not path.exists()} == set()
+    assert set((PROJECT / "docs" / "figures").iterdir()) <= shown
+
+
+def test_the_exit_codes_of_the_page_are_those_of_the_commands() -> None:
+    page = (PROJECT / "docs" / "commands.md").read_text(encoding="utf-8")
+    table = set(re.findall(r"^\| (\d+) \|", page, re.MULTILINE))
+    source = (PROJECT / "src/brdfpipe/cli/console.py").read_text(encoding="utf-8")
+    assert table == {"0", "1"} | set(re.findall(r"code = (\d+)", source)) | set(re.findall(r"(\d{3}) if ", source)) | {
+        "130"
+    }
 
 
 def test_a_page_for_each_format_of_a_program_is_linked() -> None:

@@ -96,7 +96,7 @@ def predict(
     uncertainty : whether to compute the changes by the uncertainties of the inputs too, and the error of the model, which takes longer
         than the BSDF itself. The values are the same without
     progress : whether to name the stage that runs, on the standard error; by default on a terminal
-    keys : further keys: ``slab`` of a clear body, ``multiangle`` of an effect paint, ``table``, ``model``, ``measured``, ``index_uncertainty``
+    keys : further keys: ``name``, ``slab`` of a clear body, ``multiangle`` of an effect paint, ``table``, ``model``, ``measured``, ``index_uncertainty``
 
     Returns
     -------
@@ -120,7 +120,7 @@ def predict(
         }
         content = completed(reading.check(written, material_keys.Material, NAME), config)
         files = {part: _existing(file, key) for part, key, file in raw_files(content)}
-        material = Material("material", Path(folder), content, files, load_scene(DEFAULT))
+        material = Material(content.get("name", "material"), Path(folder), content, files, load_scene(DEFAULT))
         steps = [step for step in _steps(Subject(material, config)) if uncertainty or step.stage not in _OF_UNCERTAINTY]
         results: defaultdict[str, list[str]] = defaultdict(list)
         with store.remembering():

@@ -19,6 +19,9 @@ FOLDER = click.Path(path_type=Path, file_okay=False)
 PRESENT = click.Path(path_type=Path, file_okay=False, exists=True)
 FILE = click.Path(path_type=Path, dir_okay=False, exists=True)
 
+FILE_KINDS = ("bsdf", "surface", "spectrum", "index")
+"""What a file may hold that a command reads."""
+
 
 def exit_on_error(command: Callable[Arguments, int]) -> Callable[Arguments, None]:
     """Exit with the code that a command returns; with 2 and a line for each mistake after an error, with 130 after an interrupt, 143 after SIGTERM."""

@@ -300,6 +300,19 @@ def new(name: str, folder: Path) -> int:
     return 0
 
 
+@main.command(short_help="Copy the example catalogue to FOLDER.")
+@click.argument("folder", type=FOLDER)
+@exit_on_error
+def examples(folder: Path) -> int:
+    """Copy the example catalogue to FOLDER, a material in a folder of its own for each way to know a surface."""
+    from brdfpipe.catalogue.examples import copy_examples
+
+    for name in copy_examples(folder):
+        click.echo(f"{folder / name}")
+    click.echo(f"`brdfpipe build {folder}` builds them; to learn with, they are synthetic")
+    return 0
+
+
 def _cores() -> int:
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
