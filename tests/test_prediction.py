@@ -16,7 +16,7 @@ from brdfpipe import store
 from brdfpipe.catalogue import material_keys
 from brdfpipe.descriptions import reading
 from brdfpipe.errors import InputError
-from brdfpipe.prediction import READS, predict
+from brdfpipe.prediction import RAW, READS, predict
 
 
 def arguments(folder: Path) -> dict[str, object]:
@@ -43,13 +43,19 @@ def test_the_numbers_are_those_of_a_build(made_once, name: str) -> None:  # type
 
 
 def test_every_stage_reads_what_its_rule_reads() -> None:
-    text = "".join(path.read_text(encoding="utf-8") for path in (PROJECT / "workflow" / "rules").glob("*.smk"))
+    rules = {path.stem: path.read_text(encoding="utf-8") for path in (PROJECT / "workflow" / "rules").glob("*.smk")}
+    before = [text for name, text in rules.items() if name in ("predicted", "flake", "imported")]
+    stages = re.findall(r"use rule stage_template as (\w+) with:", "".join(before))
+    assert {*stages, "bsdf"} == set(READS)
+    text = "".join(rules.values())
     for stage, read in READS.items():
         rule = text.split(f"use rule stage_template as {stage} with:")[1].split("output:")[0]
         named = re.search(r"results_of\((.*?)\)", rule, re.DOTALL)
         words = re.findall(r'(?:(\w+)=)?"([\w-]+)"', named[1]) if named else []
         expected = {f"{name}={source}" if name else source for name, source in words}
         assert set(read) == expected - ({"measured"} if stage == "bsdf" else set()), stage
+        raw = dict(re.findall(r'(\w+)=raw_file\("([^"]+)"\)', rule))
+        assert RAW.get(stage, {}) == raw, stage
 
 
 def test_a_dataset_stands_for_its_file(tmp_path: Path) -> None:

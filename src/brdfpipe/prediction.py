@@ -29,7 +29,9 @@ READS: Mapping[str, tuple[str, ...]] = {
     "surface": (),
     "scan": (),
     "back_surface": (),
+    "base_surface": (),
     "index": (),
+    "base_index": (),
     "interior": (),
     "multiangle": (),
     "imported": (),
@@ -37,30 +39,35 @@ READS: Mapping[str, tuple[str, ...]] = {
     "facets": ("surface", "scan"),
     "gloss_facets": ("index", "spectrum"),
     "back_facets": ("surface=back_surface",),
+    "base_facets": ("surface=base_surface",),
     "psd": ("surface", "scan"),
     "back_psd": ("surface=back_surface",),
     "visibility": ("surface", "facets"),
     "interreflection": ("surface", "facets", "index", "spectrum"),
     "predicted": ("facets", "psd", "visibility", "interreflection", "index", "spectrum"),
     "sheet": ("facets", "psd", "back_facets", "back_psd", "interior", "index"),
+    "coated": ("facets", "base_facets", "interior", "index", "base_index", "spectrum"),
     "wave": ("predicted", "psd", "facets", "visibility", "index", "spectrum"),
     "reference": ("surface", "index", "spectrum"),
     "flake": ("multiangle",),
     "model_error": ("surface", "scan", "facets", "predicted", "wave"),
     "uncertainty": ("predicted", "wave", "facets", "psd", "index", "spectrum", "model_error"),
     "sheet_uncertainty": ("sheet", "facets", "psd", "back_facets", "back_psd", "interior", "index"),
+    "coated_uncertainty": ("coated", "facets", "base_facets", "interior", "index", "base_index", "spectrum"),
     "flake_uncertainty": ("multiangle", "flake"),
     "bsdf": (
-        *("predicted", "wave", "sheet", "reference", "flake", "imported"),
-        *("uncertainty", "flake_uncertainty", "sheet_uncertainty"),
+        *("predicted", "wave", "sheet", "coated", "reference", "flake", "imported"),
+        *("uncertainty", "flake_uncertainty", "sheet_uncertainty", "coated_uncertainty"),
     ),
 }
 """Stage → the stages whose results it reads, as in ``workflow/rules``, in an order in which they can run."""
 
-_RAW: Mapping[str, Mapping[str, str]] = {
+RAW: Mapping[str, Mapping[str, str]] = {
     "surface": {"raw": "surface", "picture": "mask"},
     "scan": {"raw": "surface-{scan}"},
     "back_surface": {"raw": "back_surface"},
+    "base_surface": {"raw": "base_surface"},
+    "base_index": {"raw": "base_index"},
     "interior": {"raw": "interior"},
     "index": {"raw": "index"},
     "multiangle": {"raw": "multiangle"},
@@ -69,7 +76,7 @@ _RAW: Mapping[str, Mapping[str, str]] = {
 }
 """Stage → the raw files that it reads: name of the input → part of the description."""
 
-_OF_UNCERTAINTY = ("model_error", "uncertainty", "sheet_uncertainty", "flake_uncertainty")
+_OF_UNCERTAINTY = ("model_error", "uncertainty", "sheet_uncertainty", "coated_uncertainty", "flake_uncertainty")
 
 
 def predict(
@@ -96,7 +103,7 @@ def predict(
     uncertainty : whether to compute the changes by the uncertainties of the inputs too, and the error of the model, which takes longer
         than the BSDF itself. The values are the same without
     progress : whether to name the stage that runs, on the standard error; by default on a terminal
-    keys : further keys: ``name``, ``slab`` of a clear body, ``multiangle`` of an effect paint, ``table``, ``model``, ``measured``, ``index_uncertainty``
+    keys : further keys: ``name``, ``slab`` of a clear body, ``coat`` of a coated one, ``multiangle`` of an effect paint, ``table``, ``model``, ``measured``, ``index_uncertainty``
 
     Returns
     -------
@@ -160,7 +167,7 @@ def _shown(steps: list[_Step], progress: bool | None) -> Iterator[_Step]:
 def _run(step: _Step, material: Material, results: Mapping[str, list[str]], datasets: _Datasets) -> str:
     """Run a job as a build does; return the path of its result."""
     stage, number = STAGES[step.stage], step.wildcards.get("scan", "")
-    raw = {name: material.files.get(part.format(**step.wildcards)) for name, part in _RAW.get(step.stage, {}).items()}
+    raw = {name: material.files.get(part.format(**step.wildcards)) for name, part in RAW.get(step.stage, {}).items()}
     if raw.get("raw") in datasets.paths:
         return str(raw["raw"])
     inputs: dict[str, Any] = {name: str(path) for name, path in raw.items() if path is not None}
@@ -201,7 +208,7 @@ class _Datasets:
         return os.fspath(value) if isinstance(value, os.PathLike) else value
 
     def _path(self, dataset: xr.Dataset, key: str) -> str:
-        kind, accepted = dataset.attrs.get("kind"), {"table": "bsdf", "slab": ""}.get(key, key)
+        kind, accepted = dataset.attrs.get("kind"), {"table": "bsdf", "slab": "", "coat": ""}.get(key, key)
         if kind != accepted:
             found = f"a dataset of kind {kind!r}" if kind else "a dataset without the attribute `kind`"
             raise InputError(
