@@ -1,7 +1,8 @@
-"""Files have the bytes that xarray writes, and what is remembered of a dataset is what reading its file gives."""
+"""Files hold what xarray writes, and what is remembered of a dataset is what reading its file gives."""
 
 from __future__ import annotations
 
+import netCDF4
 import numpy as np
 import pytest
 import samples
@@ -41,7 +42,7 @@ DATASETS = {
 
 
 @pytest.mark.parametrize("name", DATASETS)
-def test_the_bytes_are_those_that_xarray_writes(tmp_path, name):
+def test_a_file_holds_what_xarray_writes(tmp_path, name):
     dataset = DATASETS[name]()
     netcdf_files.write(dataset, tmp_path / "a.nc")
     encoding = {
@@ -50,7 +51,24 @@ def test_the_bytes_are_those_that_xarray_writes(tmp_path, name):
         for key, variable in dataset.variables.items()
     }
     dataset.to_netcdf(tmp_path / "b.nc", engine="netcdf4", format="NETCDF4", encoding=encoding)
-    assert (tmp_path / "a.nc").read_bytes() == (tmp_path / "b.nc").read_bytes()
+    with netCDF4.Dataset(tmp_path / "a.nc") as one, netCDF4.Dataset(tmp_path / "b.nc") as other:
+        check_attributes(one.__dict__, other.__dict__)
+        assert {key: dimension.size for key, dimension in one.dimensions.items()} == {
+            key: dimension.size for key, dimension in other.dimensions.items()
+        }
+        assert list(one.variables) == list(other.variables)
+        for key, variable in one.variables.items():
+            like = other.variables[key]
+            assert (variable.dtype, variable.dimensions) == (like.dtype, like.dimensions)
+            assert (variable.filters(), variable.chunking()) == (like.filters(), like.chunking())
+            np.testing.assert_array_equal(variable[...], like[...])
+            check_attributes(variable.__dict__, like.__dict__)
+
+
+def test_a_dataset_always_gives_the_same_bytes(tmp_path):
+    for name in "ab":
+        netcdf_files.write(mixed(), tmp_path / name)
+    assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
 
 
 @pytest.mark.parametrize("name", DATASETS)

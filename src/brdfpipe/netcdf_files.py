@@ -16,7 +16,7 @@ _NUMBERS = "fiu"
 
 
 def write(dataset: xr.Dataset, path: Path) -> None:
-    """Write a dataset: the bytes are those of ``Dataset.to_netcdf``, compressed and with a checksum, without missing values of floats.
+    """Write a dataset: content and filters are those of ``Dataset.to_netcdf``, compressed and with a checksum, without missing values of floats.
 
     The checksum detects zeroed blocks, as a full disk leaves them. Raises OSError or RuntimeError: it cannot be written.
     """
@@ -28,13 +28,17 @@ def write(dataset: xr.Dataset, path: Path) -> None:
         sizes = {str(name): size for variable in variables.values() for name, size in variable.sizes.items()}
         for dimension, size in sizes.items():
             file.createDimension(dimension, size)
+        # All variables are defined before the first value is written: each change from one to the other flushes the file.
+        values = {name: _plain(variable) for name, variable in variables.items()}
         for name, variable in variables.items():
-            values, dimensions = _plain(variable), tuple(map(str, variable.dims))
-            kind = str if values.dtype.kind == "O" else values.dtype
-            written = file.createVariable(name, kind, dimensions, **_filters(dataset.variables[name]))
+            kind = str if values[name].dtype.kind == "O" else values[name].dtype
+            written = file.createVariable(
+                name, kind, tuple(map(str, variable.dims)), **_filters(dataset.variables[name])
+            )
             written.set_auto_maskandscale(False)
             written.setncatts(variable.attrs)
-            written[...] = values
+        for name in variables:
+            file.variables[name][...] = values[name]
 
 
 def read(path: Path) -> xr.Dataset:

@@ -70,10 +70,8 @@ def open_dataset(path: str | os.PathLike[str], kind: str | None = None) -> xr.Da
     """
     path = Path(path)
     try:
-        dataset = _recalled(path)
-        if dataset is None:
-            dataset = netcdf_files.read(path)
-            _remember(path, dataset)
+        recalled = _recalled(path)
+        dataset = netcdf_files.read(path) if recalled is None else recalled
     except FileNotFoundError as error:
         raise StoreError(f"{path}: no such dataset; run `brdfpipe build` to build it") from error
     except Exception as error:  # netCDF4 raises OSError, RuntimeError, ValueError and more on damaged files
@@ -82,8 +80,15 @@ def open_dataset(path: str | os.PathLike[str], kind: str | None = None) -> xr.Da
             "delete it and run `brdfpipe build` to build it again"
         ) from error
     _check_owner(dataset, path)
-    kind = kind or dataset.attrs.get("kind")
-    return vocabulary.validate(dataset, kind, str(path)) if kind else dataset
+    own = dataset.attrs.get("kind")
+    kind = kind or own
+    if recalled is not None and kind == own:
+        return dataset  # was validated before it was remembered
+    if kind:
+        vocabulary.validate(dataset, kind, str(path))
+    if recalled is None and kind == own:
+        _remember(path, dataset)
+    return dataset
 
 
 def shared_dataset(path: str | os.PathLike[str], kind: str | None = None) -> xr.Dataset:

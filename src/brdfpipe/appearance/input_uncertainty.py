@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from itertools import chain
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -65,7 +66,7 @@ def with_input_uncertainty(
     if "lab" in appearance:
         parts |= _colour_parts(appearance, bsdf, geometries)
     sources = [*dict.fromkeys(SourceChanges.of(bsdf).sources), INSTRUMENT]
-    result = appearance.assign_coords(source=sources)
+    fields: dict[str, tuple[Any, ...]] = {}
     # A total reflectance is as uncertain as its spectrum.
     total_known = "spectrum" not in str(bsdf.attrs.get(NOT_STATED, "")).split(", ")
     for name, by_source in parts.items():
@@ -80,17 +81,17 @@ def with_input_uncertainty(
             known = known & (given["geometry"].values != TOTAL)[:, None] if name == "lab" else np.zeros_like(known)
         total, rows = np.where(known, total, np.nan), np.where(known, rows, np.nan)
         attrs = {"units": "1", "long_name": f"standard uncertainty of {given.attrs.get('long_name', name)}"}
-        result[f"{name}_u"] = (
+        fields[f"{name}_u"] = (
             given.dims,
             total,
             attrs | {"long_name": f"{attrs['long_name']}, from tolerances and the BSDF"},
         )
-        result[f"{name}_u_source"] = (
+        fields[f"{name}_u_source"] = (
             ("source", *given.dims),
             rows,
             attrs | {"long_name": f"{attrs['long_name']}, by source"},
         )
-    return result
+    return appearance.assign(fields).assign_coords(source=sources)
 
 
 def with_transmission_uncertainty(appearance: xr.Dataset, bsdf: xr.Dataset) -> xr.Dataset:

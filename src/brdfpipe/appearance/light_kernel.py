@@ -54,20 +54,31 @@ def _mirrored_light(
 ) -> None:
     sizes, starts, scales, halves = levels
     one, two, least, zero = np.float32(1), np.float32(2), np.float32(1e-6), np.int32(0)
-    last = sizes - np.int32(1)
     u, v, w = normals[0], normals[1], normals[2]
+    texel = np.empty(light.shape[1], dtype=np.int32)
     for point in range(light.shape[0]):
-        axes, found = frame[point], light[point]
+        # Numbers instead of elements, comparisons instead of `min` and `max`, and the look-up in a loop of its own: so the compiler computes
+        # many nodes at once.
+        xx, xy, xz = frame[point, 0, 0], frame[point, 0, 1], frame[point, 0, 2]
+        yx, yy, yz = frame[point, 1, 0], frame[point, 1, 1], frame[point, 1, 2]
+        zx, zy, zz = frame[point, 2, 0], frame[point, 2, 1], frame[point, 2, 2]
         vx, vy, vz = view[point, 0], view[point, 1], view[point, 2]
         for node in range(light.shape[1]):
-            nx = np.float32(axes[0, 0] * u[node] + axes[1, 0] * v[node] + axes[2, 0] * w[node])
-            ny = np.float32(axes[0, 1] * u[node] + axes[1, 1] * v[node] + axes[2, 1] * w[node])
-            nz = np.float32(axes[0, 2] * u[node] + axes[1, 2] * v[node] + axes[2, 2] * w[node])
+            nx = np.float32(xx * u[node] + yx * v[node] + zx * w[node])
+            ny = np.float32(xy * u[node] + yy * v[node] + zy * w[node])
+            nz = np.float32(xz * u[node] + yz * v[node] + zz * w[node])
             cosine = (nx * vx + ny * vy + nz * vz) * two
             z = cosine * nz - vz
-            stretch = scales[node] / np.sqrt(max(one + z, least))
+            rise = one + z
+            stretch = scales[node] / np.sqrt(rise if rise > least else least)
+            last = sizes[node] - np.int32(1)
             column = np.int32((cosine * nx - vx) * stretch + halves[node])
             row = np.int32((cosine * ny - vy) * stretch + halves[node])
-            column = min(max(column, zero), last[node])
-            row = zero if z < straight_down else min(max(row, zero), last[node])
-            found[node] = table[starts[node] + row * sizes[node] + column]
+            column = column if column > zero else zero
+            column = column if column < last else last
+            row = row if row > zero else zero
+            row = row if row < last else last
+            row = zero if z < straight_down else row
+            texel[node] = np.int32(starts[node] + row * sizes[node] + column)
+        for node in range(light.shape[1]):
+            light[point, node] = table[texel[node]]

@@ -206,7 +206,7 @@ def _with_variables(dataset: xr.Dataset, variables: Mapping[str, xr.Variable]) -
     """The dataset with other values of some variables; those that it has keep their dimensions and attributes."""
     # Its own variables are replaced one by one: `assign` would compare all coordinates, which takes ten times as long.
     own = {name: variable for name, variable in variables.items() if name in dataset.data_vars}
-    data = {name: (own.get(str(name), variable)).data for name, variable in dataset.data_vars.items()}
+    data = {name: own.get(str(name), dataset.variables[name]).data for name in dataset.data_vars}
     changed = dataset.copy(data=data)
     return changed if len(own) == len(variables) else changed.assign(variables)
 
@@ -220,7 +220,9 @@ def _after(bsdf: xr.Dataset, name: str, row: int) -> xr.Variable | None:
     given = bsdf.variables[name] if name in bsdf.variables else xr.zeros_like(change)
     if "change_theta" in change.dims:
         change = change.transpose("change_theta", ...)
-        values = between_incidences(bsdf["change_theta"].values, change.values, bsdf["theta_i"].values)
+        values = between_incidences(
+            bsdf.variables["change_theta"].values, change.values, bsdf.variables["theta_i"].values
+        )
         change = xr.Variable(("theta_i", *change.dims[1:]), values)
     if "change_phase" in change.dims:
         values = between_phases(bsdf["change_phase"].values, change.values, bsdf["phase_variance"].values)

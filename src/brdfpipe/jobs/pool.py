@@ -6,6 +6,7 @@ snakemake uses one worker at a time, and each worker one thread for linear algeb
 
 from __future__ import annotations
 
+import gc
 import multiprocessing
 import os
 import signal
@@ -213,6 +214,7 @@ def _serve(connection: Connection) -> None:
     tqdm.set_lock(threading.RLock())  # the default is a semaphore of the system, which a killed worker would leak
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole process group; the main process handles it
     threading.Thread(target=_end_with_parent, daemon=True).start()
+    gc.freeze()  # the imported libraries: a search for garbage among their objects takes a tenth of a second
     while True:
         try:
             job = connection.recv()

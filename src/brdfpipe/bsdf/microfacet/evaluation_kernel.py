@@ -1269,14 +1269,18 @@ def _sum_over_facets(
                 light[j] *= mirrors[j]
                 total += light[j]
             sums[row, 0] += total
+            # Many products at once, then their sum in order, which the compiler may not change.
+            reflected = work[0]
             for w in range(n.size):
                 total = 0.0
                 if absorbs:
                     for j in range(light.size):
-                        total += light[j] * _absorbing(pair[1][j], n[w], k[w])
+                        reflected[j] = light[j] * _absorbing(pair[1][j], n[w], k[w])
                 else:
                     for j in range(light.size):
-                        total += light[j] * _transparent(pair[1][j], n[w])
+                        reflected[j] = light[j] * _transparent(pair[1][j], n[w])
+                for j in range(light.size):
+                    total += reflected[j]
                 sums[row, 1 + w] += total
 
 

@@ -341,7 +341,14 @@ class Wave(Representation):
         return (float(weight @ n), float(weight @ k)) if np.ptp(n) or np.ptp(k) else None
 
     def without_diffuse(self) -> xr.Dataset:
-        return self.dataset.assign(diffuse=xr.zeros_like(self.dataset["diffuse"]))
+        return self._without_diffuse
+
+    @cached_property
+    def _without_diffuse(self) -> xr.Dataset:
+        """One dataset for all who ask, so that its representation is prepared once."""
+        bsdf = self.dataset
+        nothing = {"diffuse": np.zeros_like(bsdf.variables["diffuse"].values)}
+        return bsdf.copy(data={name: nothing.get(str(name), bsdf.variables[name].data) for name in bsdf.data_vars})
 
     @property
     def unphysical_choice(self) -> str:

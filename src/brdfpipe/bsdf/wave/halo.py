@@ -21,8 +21,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
-from typing import NamedTuple
+from functools import cached_property
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -32,6 +32,9 @@ from scipy.ndimage import map_coordinates, spline_filter, spline_filter1d
 from brdfpipe.bsdf.spectral import OnlyOnce, each_time
 from brdfpipe.content_cache import cached_by_content
 from brdfpipe.geometry import Array, HalfVector, slope_towards
+
+if TYPE_CHECKING:
+    from brdfpipe.bsdf.wave.halo_kernel import HaloTable
 
 _TINY = 1e-300
 
@@ -273,15 +276,18 @@ class Halo:
         limit = self.form == "rayleigh-rice" or tables == ("spectrum",)
         if self.form == "rayleigh-rice" and self.spectrum is not None:
             return [self.spectrum(frequency)]
-        with np.errstate(divide="ignore"):
-            log_phase = 2 * np.log(2e3 * np.pi * self.sigma * cosines)
-        if self.compiled:
-            lookups = (self._compiled_lookups["spectrum" if limit else table] for table in tables)
-            return [lookup(slope * cosines, log_phase, wavelength, column) for lookup in lookups]
-        row = np.zeros_like(frequency)
+        row, along = np.zeros_like(frequency), np.arcsinh(frequency / self.scale) / self.frequency_step
         if not limit:
+            with np.errstate(divide="ignore"):
+                log_phase = 2 * np.log(2e3 * np.pi * self.sigma * cosines)
             row = np.maximum((log_phase[..., None] - 2 * np.log(wavelength) - self.first_phase) / self.phase_step, 0.0)
-        at = np.array([row, np.arcsinh(frequency / self.scale) / self.frequency_step, *place])
+        if self.compiled:
+            from brdfpipe.bsdf.wave import halo_kernel
+
+            found = halo_kernel.Place(row, along, np.ascontiguousarray(column, dtype=float))
+            named = ("spectrum" if limit else table for table in tables)
+            return [halo_kernel.transform_ratio(self._compiled_tables[name], found) for name in named]
+        at = np.array([row, along, *place])
         return [
             np.exp(map_coordinates(values, at, order=3, mode="mirror", prefilter=False))
             for values in (self._first_order if table == "first order" else self.spline for table in tables)
@@ -298,18 +304,14 @@ class Halo:
         return self.first_order
 
     @cached_property
-    def _compiled_lookups(self) -> dict[str, Callable[[Array, Array, Array, Array], Array]]:
-        """:func:`brdfpipe.bsdf.wave.halo_kernel.transform_ratio` of the tables."""
-        from brdfpipe.bsdf.wave import halo_kernel
+    def _compiled_tables(self) -> dict[str, HaloTable]:
+        """The tables as compiled code reads them."""
+        from brdfpipe.bsdf.wave.halo_kernel import HaloTable
 
-        phase, frequency = (self.first_phase, self.phase_step), (self.scale, self.frequency_step)
-        tables = {"transform": (self.spline, True), "spectrum": (self.spline, False)}
+        tables = {"transform": HaloTable.of(self.spline, True), "spectrum": HaloTable.of(self.spline, False)}
         if self.first_order is not None:
-            tables["first order"] = self.first_order, True
-        return {
-            name: partial(halo_kernel.transform_ratio, halo_kernel.HaloTable.of(spline, phase, frequency, by_phase))
-            for name, (spline, by_phase) in tables.items()
-        }
+            tables["first order"] = HaloTable.of(self.first_order, True)
+        return tables
 
 
 @cached_by_content(8)

@@ -22,67 +22,48 @@ class HaloTable(NamedTuple):
 
     coefficients: Array
     """(phase variance, frequency, azimuth), continued at the ends of the first two; with one azimuth for a surface without a lay"""
-    first_phase: float
-    """ln g of the first node"""
-    phase_step: float
-    """Step of ln g"""
-    scale: float
-    """f0 [um-1]: nodes are evenly spaced in asinh(f/f0)"""
-    frequency_step: float
-    """Step of asinh(f/f0)"""
     phase_matters: bool
     """False for the limit g → 0"""
 
     @classmethod
-    def of(
-        cls, spline: Array, phase: tuple[float, float], frequency: tuple[float, float], phase_matters: bool
-    ) -> HaloTable:
-        """Of the coefficients of a spline, (phase variance, frequency) or with an azimuth as third axis.
-
-        ``phase`` are ln g of the first node and its step, ``frequency`` f0 and the step of asinh(f/f0).
-        """
+    def of(cls, spline: Array, phase_matters: bool) -> HaloTable:
+        """Of the coefficients of a spline, (phase variance, frequency) or with an azimuth as third axis."""
         volume = spline[..., None] if spline.ndim == 2 else spline
         padded = np.pad(volume, [(_EDGE, _EDGE), (_EDGE, _EDGE), (0, 0)], mode="reflect")
-        return cls(np.ascontiguousarray(padded), *phase, *frequency, phase_matters)
+        return cls(np.ascontiguousarray(padded), phase_matters)
 
 
-def transform_ratio(table: HaloTable, frequency: Array, log_phase: Array, wavelength: Array, column: Array) -> Array:
-    """K/g [um2], (directions, wavelength).
+class Place(NamedTuple):
+    """Places of directions in tables, in steps from the first node."""
 
-    Parameters
-    ----------
-    frequency : (directions,) Bragg frequency times the wavelength [1]
-    log_phase : (directions,) ln(g λ²), λ in nm
-    wavelength : (wavelength,) nm
-    column : (directions,) fractional index of the azimuth, for a surface with a lay
-    """
-    result = np.empty((frequency.size, wavelength.size))
-    one, two, three, four = (
-        np.ascontiguousarray(values, dtype=float) for values in (frequency, log_phase, wavelength, column)
-    )
-    _transform_ratio(table, one, two, three, four, result)
-    return result
+    phase: Array
+    """(directions, wavelength) of ln g; below 0 is the first node"""
+    frequency: Array
+    """(directions, wavelength) of asinh(f/f0)"""
+    azimuth: Array
+    """(directions,) of the azimuth, for a surface with a lay"""
+
+
+def transform_ratio(table: HaloTable, place: Place) -> Array:
+    """K/g [um2], (directions, wavelength), at places of the table."""
+    result = np.empty_like(place.frequency)
+    _splines(table.coefficients, table.phase_matters, place, result)
+    return np.exp(result, out=result)
 
 
 @compiled
-def _transform_ratio(
-    table: HaloTable, frequency: Array, log_phase: Array, wavelength: Array, column: Array, result: Array
-) -> None:
-    rows, columns, azimuths = table.coefficients.shape
+def _splines(coefficients: Array, phase_matters: bool, place: Place, result: Array) -> None:
+    rows, columns, azimuths = coefficients.shape
     last_row, last_column = rows - 2 * _EDGE - 1, columns - 2 * _EDGE - 1
-    log_wavelength = 2 * np.log(wavelength)
-    for j in range(frequency.size):
-        for w in range(wavelength.size):
-            ratio = frequency[j] / (wavelength[w] * 1e-3) / table.scale
-            at = math.log(ratio + math.sqrt(ratio * ratio + 1)) / table.frequency_step
-            row = (log_phase[j] - log_wavelength[w] - table.first_phase) / table.phase_step
-            row = row if table.phase_matters and row > 0 else 0.0
-            row, at = _mirrored(row, last_row), _mirrored(at, last_column)
+    for j in range(result.shape[0]):
+        for w in range(result.shape[1]):
+            row = place.phase[j, w]
+            row = row if phase_matters and row > 0 else 0.0
+            row, at = _mirrored(row, last_row), _mirrored(place.frequency[j, w], last_column)
             if azimuths == 1:
-                value = _on_surface(table.coefficients, row, at)
+                result[j, w] = _on_surface(coefficients, row, at)
             else:
-                value = _in_volume(table.coefficients, row, at, column[j])
-            result[j, w] = math.exp(value)
+                result[j, w] = _in_volume(coefficients, row, at, place.azimuth[j])
 
 
 def polarisation_factor(pair: HalfVector, azimuth: Array, n: Array) -> Array:

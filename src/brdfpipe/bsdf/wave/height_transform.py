@@ -17,6 +17,7 @@ Beckmann & Spizzichino 1963, §5.3; Hamilton 2000, Mon. Not. R. Astron. Soc. 312
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -43,6 +44,8 @@ _LOW_CUT = 24
 """Power of f with which a measured spectrum falls below its first frequency."""
 _SPREAD_NOISE = 1e-9
 """The same upon a coarser relief, where no order is known without a transform."""
+_SERIES_PHASE, _SERIES_ORDERS = 0.3, np.arange(2, 18)
+"""Phase variance up to which the orders of scattering are a short series: what follows them is 1e-23 of the largest K, far below its noise."""
 _PHASES_AT_ONCE = 32
 """Phase variances that are transformed together, in about 20 MB."""
 _NEAR = 40
@@ -258,7 +261,7 @@ def _by_hankel_transform(
     frequency: Array,
     coarse: Callable[[Array, float], Array] | None = None,
 ) -> Array:
-    """ln(K/g), (phases, frequencies), by one logarithmic Hankel transform for each g.
+    """ln(K/g), (phases, frequencies), by one logarithmic Hankel transform for each g, or for each order of scattering where g is small.
 
     The first order, g e^(−g) S/σ², is known. The rest, e^(−g)(e^(gρ) − 1 − gρ), decays faster with distance, so that a discrete
     transform of it is accurate. It is >= 0, because every power of ρ is an autocorrelation.
@@ -279,16 +282,28 @@ def _by_hankel_transform(
     first_order = correlation.spectrum(grid[inside])
     asked = np.log(np.maximum(frequency, 2e-3 * frequency[1]))
     values = np.empty((phase.size, frequency.size))
-    for start in range(0, phase.size, _PHASES_AT_ONCE):
-        rows = slice(start, start + _PHASES_AT_ONCE)
+
+    def transformed(function: Array) -> Array:
+        return np.asarray(2 * np.pi * fht(function, step, 0.0, offset=offset)[:, inside] / wave_number[inside])
+
+    in_series = int((phase <= _SERIES_PHASE).sum()) if coarse is None else 0
+    if in_series <= _SERIES_ORDERS.size:
+        in_series = 0
+    of_orders = transformed(rho ** _SERIES_ORDERS[:, None] * distance) if in_series else np.empty(0)
+    ends = [*range(0, in_series, _PHASES_AT_ONCE), *range(in_series, phase.size, _PHASES_AT_ONCE), phase.size]
+    for start, end in pairwise(ends):
+        rows = slice(start, end)
         g = phase[rows, None]
-        higher = _higher_orders(g, rho)
-        if coarse is not None:
-            higher = (higher + np.exp(-g) * (g * rho)) * np.stack(
-                [coarse(distance, float(np.sqrt(one))) for one in phase[rows]]
-            )
-        higher *= distance
-        total = 2 * np.pi * fht(higher, step, 0.0, offset=offset)[:, inside] / wave_number[inside] / g
+        if start < in_series:
+            weight = np.exp((_SERIES_ORDERS - 1) * np.log(g) - g - gammaln(_SERIES_ORDERS + 1))
+            total = weight @ of_orders
+        else:
+            higher = _higher_orders(g, rho)
+            if coarse is not None:
+                higher = (higher + np.exp(-g) * (g * rho)) * np.stack(
+                    [coarse(distance, float(np.sqrt(one))) for one in phase[rows]]
+                )
+            total = transformed(higher * distance) / g
         if coarse is None:
             total = np.exp(-g) * first_order + np.maximum(total, 0.0)
         floor = (_NOISE if coarse is None else _SPREAD_NOISE) * total.max(axis=1, keepdims=True)

@@ -65,6 +65,9 @@ FACETS_ALONE = 0.99
 _OF_HALO, _OF_CLOSURE = frozenset({"sigma", "log_halo"}), frozenset({"halo_closure", "coherent_loss"})
 """Variables of the halo alone, and of its closure."""
 
+MANY_HALO_VALUES = 2**13
+"""Values of a call from which on the halo is read by compiled code: loading it takes as long as a dozen such calls save, and whoever asks for
+so many values seldom makes one call."""
 _BLOCK = 2**15
 """Values that are computed together, so that their arrays stay in the processor's cache."""
 _NODES, _DECADES = 8192, 20
@@ -139,6 +142,13 @@ def facet_bsdf(bsdf: xr.Dataset) -> xr.Dataset:
     attributes = {name: bsdf.attrs[name] for name in ("masking", "multiple_scattering", "transmission")}
     facets.attrs = {"representation": Microfacet.name, "diffuse_mode": "none", **attributes}
     return facets
+
+
+def _with_values(dataset: xr.Dataset, other: xr.Dataset, names: Collection[str]) -> xr.Dataset:
+    """A dataset with the values that some of its variables have in another one, of the same dimensions."""
+    return dataset.copy(
+        data={name: (other if name in names else dataset).variables[name].data for name in dataset.data_vars}
+    )
 
 
 @dataclass(frozen=True)
@@ -323,14 +333,15 @@ class RoughSurface:
         :meth:`halo_of_mirrors` of the same directions and wavelengths, if it is known.
         """
         many = self.compiled or angles[0].size * wavelength.size >= MANY_VALUES
-        surface = self._with_compiled_halos if many else self
+        compiled = many or angles[0].size * wavelength.size >= MANY_HALO_VALUES
+        surface = self._with_compiled_halos if compiled else self
         of_all_facets = cache(lambda: surface.of_facets(angles, wavelength))
 
         def of_block(pair: HalfVector, block: Angles, at: NDArray[np.int64]) -> Array:
             # The compiled kernel of the facets needs many directions at once.
             facets = (lambda: of_all_facets()[at]) if many else None
             orders = None if halo is None else (halo[at, :, 0], halo[at, :, 1])
-            return surface.of_pairs(block, wavelength, n, k, pair=pair, facets=facets, orders=orders, compiled=many)
+            return surface.of_pairs(block, wavelength, n, k, pair=pair, facets=facets, orders=orders, compiled=compiled)
 
         return _in_blocks(angles, (wavelength.size,), of_block, many)
 
@@ -339,12 +350,18 @@ class RoughSurface:
         surfaces: Sequence[RoughSurface], angles: Angles, wavelength: Array, n: Array, k: Array
     ) -> list[Array]:
         """:meth:`evaluate` of several surfaces of one body, which compute once what they share."""
-        many = len(surfaces) * angles[0].size * wavelength.size >= MANY_VALUES
-        used = [surface._with_compiled_halos if many else surface for surface in surfaces]
+        count = len(surfaces) * angles[0].size * wavelength.size
+        many, compiled = count >= MANY_VALUES, count >= MANY_HALO_VALUES
+        used = [surface._with_compiled_halos if compiled else surface for surface in surfaces]
         reflectance = reflectance_of(n, k)
 
         def of_block(pair: HalfVector, block: Angles, at: NDArray[np.int64]) -> Array:
-            shared: dict[str, Any] = {"pair": pair, "compiled": many, "reflectance": reflectance, "once": only_once()}
+            shared: dict[str, Any] = {
+                "pair": pair,
+                "compiled": compiled,
+                "reflectance": reflectance,
+                "once": only_once(),
+            }
             return np.stack([surface.of_pairs(block, wavelength, n, k, **shared) for surface in used], axis=-1)
 
         values = _in_blocks(angles, (wavelength.size, len(used)), of_block, many, block=_BLOCK * len(used))
@@ -457,7 +474,9 @@ class RoughSurface:
         if _OF_HALO & set(names):
             halo = Halo.of(bsdf, by_order=bsdf.attrs["form"] != "rayleigh-rice")
         if OF_FACETS & set(names):
-            relief = replace(relief, facets=relief.facets.with_changed(facet_bsdf(bsdf), names))
+            relief = replace(
+                relief, facets=relief.facets.with_changed(_with_values(relief.facets.dataset, bsdf, names), names)
+            )
         if closure is not None and _OF_CLOSURE & set(names):
             closure = EnergyClosure.of(bsdf)
         return replace(self, halo=halo, relief=relief, closure=closure)
