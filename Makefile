@@ -15,7 +15,7 @@ ifneq ($(shell cat $(VENV)/.place 2>/dev/null),$(CURDIR))
 $(VENV)/bin/python $(VENV)/.runtime $(VENV)/.dev $(VENV)/.instruments $(VENV)/.peers $(VENV)/.cluster $(VENV)/.docs: moved
 endif
 
-.PHONY: moved help catalogue check instruments peers cluster slurm test test-full lint docs figures format lock keys examples benchmark accuracy tradeoff extremes rig-accuracy clean
+.PHONY: moved help catalogue check instruments peers cluster slurm browser test test-full lint docs figures format lock keys examples benchmark accuracy tradeoff extremes rig-accuracy clean
 .DEFAULT_GOAL := help
 
 help:  ## list the targets
@@ -35,6 +35,9 @@ cluster: $(VENV)/.cluster  ## add what submits jobs to the scheduler of a cluste
 
 slurm:  ## install SLURM, on which test-full tests clusters (Debian, as root; no service is started)
 	apt-get install --yes --no-install-recommends slurm-wlm munge
+
+browser:  ## install Chromium, in which test-full tries the pages (Debian, as root)
+	apt-get install --yes --no-install-recommends chromium chromium-driver
 
 test: $(VENV)/.dev $(VENV)/.instruments  ## run the tests, each at least on a representative case (minutes on two cores)
 	@$(PYTEST)

@@ -17,6 +17,7 @@ import click
 from brdfpipe.cli.console import FILE, FOLDER, PRESENT, exit_on_error
 from brdfpipe.cli.doctor import doctor
 from brdfpipe.cli.rig import rig
+from brdfpipe.cli.serving import serve
 from brdfpipe.cli.show import plot, show
 from brdfpipe.cli.tables import compare, convert, formats
 from brdfpipe.errors import BrdfpipeError, printable
@@ -319,7 +320,7 @@ def _cores() -> int:
     return os.cpu_count() or 1
 
 
-for command in (show, plot, convert, compare, formats, doctor, rig):
+for command in (show, plot, convert, compare, formats, doctor, rig, serve):
     main.add_command(command)
 
 if __name__ == "__main__":

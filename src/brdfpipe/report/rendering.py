@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import re
+from base64 import b64encode
 from collections.abc import Mapping
 from functools import cache
+from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -52,7 +54,15 @@ def _environment() -> Environment:
     environment.globals["mark"] = _VERDICT_SYMBOLS
     environment.globals["words"] = WORDS
     environment.globals["style"] = Markup((TEMPLATES / "style.css").read_text("utf-8"))
+    environment.globals["viewer_style"] = Markup((TEMPLATES / "uPlot.css").read_text("utf-8"))
     return environment
+
+
+@cache
+def script(*names: str) -> tuple[Markup, str]:
+    """A script of the page, from files of the templates, and the hash by which the page's policy allows it."""
+    text = "\n".join((TEMPLATES / name).read_text("utf-8") for name in names)
+    return Markup(text), b64encode(sha256(text.encode()).digest()).decode()
 
 
 def own_stages(datasets: Mapping[str, xr.Dataset]) -> dict[str, xr.Dataset]:

@@ -19,7 +19,7 @@ from brdfpipe.appearance.verdicts import (
     stage_warnings,
     verdicts,
 )
-from brdfpipe.report import comparison, structured_data
+from brdfpipe.report import comparison, rendering, structured_data
 from brdfpipe.report.cards import Section
 from brdfpipe.report.formatting import colour
 from brdfpipe.report.material.checks import checks_section, exports_table, provenance
@@ -39,6 +39,7 @@ from brdfpipe.report.material.reflection import lambert_gauss_section, reflectio
 from brdfpipe.report.material.roughness import roughness_section
 from brdfpipe.report.rendering import material_name, own_stages, render
 from brdfpipe.report.rig import section as rig_section
+from brdfpipe.report.viewer import as_json, viewer_data
 
 
 def material_page(
@@ -61,7 +62,8 @@ def material_page(
 
     Returns
     -------
-    HTML that requests nothing from elsewhere, without scripts that run, the same bytes for the same datasets; with the data set as JSON-LD
+    HTML that requests nothing from elsewhere, the same bytes for the same datasets; with the data set as JSON-LD. Its only script is that of
+    the directional viewer, allowed by its hash; without it the page has all figures.
     """
     known = own_stages(datasets)
     appearance = known.get("appearance")
@@ -92,8 +94,13 @@ def material_page(
     name = material_name(known)
     technique = f"{route(known).capitalize()} from {basis(known) or 'no data'}"
     files = [f"exports/{file}" for row in exported.rows for file in row[0].split(", ")] if exported else []
+    directional = viewer_data(known)
+    script, script_hash = rendering.script("uPlot.js", "viewer.js") if directional else ("", "")
     return render(
         "material.html.j2",
+        viewer=as_json(directional) if directional else "",
+        script=script,
+        script_hash=script_hash,
         name=name,
         linked_data=structured_data.of_material(known, name, description, technique, files),
         description=description,
