@@ -18,10 +18,11 @@ from built_examples import build_examples
 from click.testing import CliRunner
 from source_tree import PACKAGE, modules
 
-from brdfpipe import appearance, exchange, flakes, spectra, store
+from brdfpipe import appearance, documents, exchange, flakes, spectra, store
 from brdfpipe.bsdf import flake, lambert_gauss
-from brdfpipe.catalogue import generated_files
+from brdfpipe.catalogue import generated_files, material_keys
 from brdfpipe.cli.main import main
+from brdfpipe.descriptions import reading
 from brdfpipe.exchange.registry import FORMATS
 from brdfpipe.spectra import colorimetry
 from brdfpipe.stages import STAGES
@@ -164,6 +165,18 @@ def test_what_a_page_teaches_runs(page: Path, taught: Path) -> None:
     if "plot" in page.read_text(encoding="utf-8"):
         pytest.importorskip("matplotlib")
     run_page(page, ("examples", "build", "doctor"))
+
+
+GUIDES = sorted((PROJECT / "docs" / "guides").glob("*.md"))
+
+
+@pytest.mark.parametrize("page", GUIDES, ids=lambda page: page.name)
+def test_every_description_of_a_guide_is_accepted(page: Path, tmp_path: Path) -> None:
+    for block in re.findall(r"^```yaml\n(.*?)^```$", page.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL):
+        (tmp_path / "material.yaml").write_text(block, encoding="utf-8")
+        written, _ = documents.parse(tmp_path / "material.yaml")
+        base = {} if "table" in written else {"surface": {"distribution": "ggx", "a": 0.2}, "index": 1.5}
+        assert reading.check(base | written, material_keys.Material, page.name)
 
 
 @pytest.mark.slow

@@ -200,7 +200,7 @@ class _Datasets:
         if isinstance(value, xr.Dataset):
             return self._path(value, key)
         if isinstance(value, Mapping):
-            return {name: self.stored(item, key) for name, item in value.items()}
+            return {str(name): self.stored(item, key) for name, item in value.items()}
         if isinstance(value, list | tuple):
             return [self.stored(item, key) for item in value]
         if isinstance(value, np.ndarray | np.generic):
