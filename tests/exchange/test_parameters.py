@@ -25,7 +25,18 @@ def test_every_formula_is_listed_with_its_error(tmp_path: Path) -> None:
     for one in fits.values():
         assert one["error"]["directions"] > 1000
         assert ("refused" in one) != ("parameters" in one)
+        assert 0 < one["error"]["delta_e_00"] < 30
+    # At 45:0 the Beckmann lobe of the same slopes is the BSDF, but for light that is reflected more than once.
+    assert fits["beckmann"]["error"]["delta_e_00"] < 1
+    assert fits["beckmann"]["error"]["delta_e_00"] < fits["ggx"]["error"]["delta_e_00"]
     assert "spectrum" in document["left_out"]
+
+
+def test_a_formula_of_another_colour_has_no_parameters(tmp_path: Path) -> None:
+    write(samples.beckmann_bsdf(0.2), tmp_path / "x.parameters.json", largest_delta_e=0.6)
+    fits = {one["formula"]: one for one in json.loads((tmp_path / "x.parameters.json").read_text())["fits"]}
+    assert fits["ggx"]["refused"] == "the colour difference is above the limit of 0.6"
+    assert "parameters" in fits["beckmann"]
 
 
 @pytest.mark.parametrize("suffix", [".parameters.json", ".mtlx", ".gltf"])
@@ -78,6 +89,7 @@ def test_each_incidence_is_listed_with_its_parameters_or_a_refusal(tmp_path: Pat
 def test_a_material_without_any_formula_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ExchangeError, match=r"no formula describes this material: the nearest, beckmann"):
         write(samples.beckmann_bsdf(0.2), tmp_path / "x.parameters.json", largest_error=1e-4)
-    with pytest.raises(ExchangeError, match="largest_error is 0"):
-        write(samples.beckmann_bsdf(0.2), tmp_path / "x.parameters.json", largest_error=0)
+    for option in ("largest_error", "largest_delta_e"):
+        with pytest.raises(ExchangeError, match=f"{option} is 0"):
+            write(samples.beckmann_bsdf(0.2), tmp_path / "x.parameters.json", **{option: 0})
     assert not list(tmp_path.iterdir())

@@ -182,6 +182,22 @@ def test_real_vinyl_has_the_cells_that_the_converter_of_ansys_writes_from_the_sa
     assert ((factor > 1) & (factor < 1.25)).all()
 
 
+def test_real_vinyl_is_written_as_the_converter_of_ansys_writes_it(shared_data, tmp_path):
+    """The same measurement from a Zemax file, at the angles of the other file: one factor for each incidence, π times what brings it to its reflectance."""
+    path = tmp_path / "vinyl.anisotropicbsdf"
+    write(read(shared_data / "bsdf" / "brown_vinyl_zemax.bsdf"), path, tolerance=0.05, albedo_tolerance=0.02)
+    stated = json.loads(Path(f"{path}.json").read_text())["error"]["percentile_95"]
+    ours, theirs = read(path), speos.read(shared_data / "bsdf" / "brown_vinyl_speos.anisotropicbsdf")
+    theta_i, theta_o, phi_o = np.meshgrid(*theirs.axes.values(), indexing="ij")
+    values = ours.bsdf.evaluate(theta_i, 0 * theta_i, theta_o, phi_o).values.reshape(theta_i.shape)
+    lit = (theirs.values[..., 0] > 0) & (theta_o <= 70)
+    ratio = np.where(lit, theirs.values[..., 0] / np.where(lit, np.pi * values, 1.0), np.nan)
+    factor = np.nanmedian(ratio, axis=(1, 2))
+    # Our file is off by what its record says, at directions between its nodes.
+    assert np.nanquantile(np.abs(ratio / factor[:, None, None] - 1), 0.95) < 1.2 * stated
+    assert ((factor > 1) & (factor < 1.25)).all()
+
+
 @pytest.mark.parametrize(("option", "value"), [("tolerance", 0.0), ("albedo_tolerance", 2.0), ("largest", 5)])
 def test_options_out_of_range_are_refused(grey, tmp_path, option, value):
     with pytest.raises(ExchangeError, match=option):

@@ -6,15 +6,18 @@ For optical design programs that take parameters instead of tables. A formula th
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
+import numpy as np
 import xarray as xr
 
 from brdfpipe import store
 from brdfpipe.appearance.origin import METAL_EXTINCTION
+from brdfpipe.bsdf.nonspectral import nonspectral
 from brdfpipe.exchange import records
-from brdfpipe.exchange.fits.fitting import Fit, Form, fit, index_of
+from brdfpipe.exchange.fits.fitting import Fit, Form, delta_e_of_greys, fit, index_of, luminance_of_rgb
 from brdfpipe.exchange.fits.forms import by_albedo, dielectric
 from brdfpipe.exchange.fits.scatter import (
     FORMULAS,
@@ -28,11 +31,11 @@ from brdfpipe.exchange.registry import ExchangeError, Format
 FORMAT = Format(
     description="parameters of ABg, Harvey, K-correlation, GGX and Beckmann, fitted, for optical design programs",
     files={"reflection": {"write": (".parameters.json",)}},
-    options={"largest_error": 0.25},
+    options={"largest_error": 0.25, "largest_delta_e": 5.0},
 )
 
 
-def write(bsdf: xr.Dataset, path: Path, *, largest_error: float) -> records.Record:
+def write(bsdf: xr.Dataset, path: Path, *, largest_error: float, largest_delta_e: float) -> records.Record:
     """Write the parameters of the reflecting side, weighted with V(λ) and D65.
 
     Parameters
@@ -41,29 +44,33 @@ def write(bsdf: xr.Dataset, path: Path, *, largest_error: float) -> records.Reco
     path : the file; it appears whole or not at all
     largest_error : above which a formula is refused: of the median error, relative to BRDF·cos θ_o, and of the largest error of
         the directional reflectance, relative to it [1]
+    largest_delta_e : above which a formula is refused: CIEDE2000 of greys of both luminances off the lobe
 
     Raises
     ------
     ExchangeError : every formula is refused, the surface has a lay, or no light is scattered back.
     """
-    if not largest_error > 0:
-        raise ExchangeError(f"largest_error is {largest_error!r}; accepted: above 0")
-    fits = [_of_formula(bsdf, name, largest_error) for name in FORMULAS]
+    for option, value in (("largest_error", largest_error), ("largest_delta_e", largest_delta_e)):
+        if not value > 0:
+            raise ExchangeError(f"{option} is {value!r}; accepted: above 0")
+    limits = _Limits(largest_error, largest_delta_e)
+    fits = [_of_formula(bsdf, name, limits) for name in FORMULAS]
     n, k = index_of(bsdf)
     if k < METAL_EXTINCTION:
-        fits += [_of_facets(bsdf, distribution, n, largest_error) for distribution in ("ggx", "beckmann")]
+        fits += [_of_facets(bsdf, distribution, n, limits) for distribution in ("ggx", "beckmann")]
     if all("refused" in one and "refused" in one.get("by_incidence", one) for one in fits):
         least = min(fits, key=lambda one: max(float(one["error"]["median"]), float(one["error"]["albedo"])))
         raise ExchangeError(
             f"no formula describes this material: the nearest, {least['formula']}, is off by {least['error']['median']:.0%} of BRDF cos theta_o "
-            f"(median) and {least['error']['albedo']:.0%} of the reflectance, above the limit of {largest_error:g}; use the format of a table, or raise the option `largest_error`"
+            f"(median), {least['error']['albedo']:.0%} of the reflectance and a CIEDE2000 of {least['error']['delta_e_00']:.1f} off the lobe: {least['refused']}; use the format of a table, "
+            "or raise the option `largest_error` or `largest_delta_e`"
         )
     document = {
         **records.identity(bsdf),
         "values": "BRDF in sr-1, not multiplied by the cosine, weighted with V(lambda) and D65",
         "x": "distance of the direction cosines from those of the mirror direction, |beta - beta0|",
         "error": "relative: median and 95th percentile of BRDF cos theta_o, and the largest of the directional reflectance (albedo) and of the BRDF "
-        "in the mirror direction (peak) to 75 degree",
+        "in the mirror direction (peak) to 75 degree; and the largest CIEDE2000 of greys of both luminances at 45:0, 45as75 and 45as110 (delta_e_00)",
         "by_incidence": "parameters of single incidences, and their error there; the error of the whole list is that of parameters interpolated linearly "
         "in the cosine of the incidence",
         "fits": fits,
@@ -73,7 +80,13 @@ def write(bsdf: xr.Dataset, path: Path, *, largest_error: float) -> records.Reco
     return document
 
 
-def _of_formula(bsdf: xr.Dataset, name: str, limit: float) -> dict[str, Any]:
+class _Limits(NamedTuple):
+    error: float
+    """Of the median error and of the reflectance [1]"""
+    delta_e: float
+
+
+def _of_formula(bsdf: xr.Dataset, name: str, limit: _Limits) -> dict[str, Any]:
     of_all = fit_formula(bsdf, name)
     found = {float(theta_i): fit_formula(bsdf, name, float(theta_i)) for theta_i in LISTED_INCIDENCES}
     incidences = [
@@ -93,8 +106,15 @@ def _of_formula(bsdf: xr.Dataset, name: str, limit: float) -> dict[str, Any]:
     }
 
 
-def _of_facets(bsdf: xr.Dataset, distribution: str, index: float | None, limit: float) -> dict[str, Any]:
+def _of_facets(bsdf: xr.Dataset, distribution: str, index: float | None, limit: _Limits) -> dict[str, Any]:
     found = fit(bsdf, Form(distribution, dielectric, by_albedo, index))
+    luminance = luminance_of_rgb()
+    found = replace(
+        found,
+        delta_e=delta_e_of_greys(
+            nonspectral(bsdf), lambda *at: np.asarray(found.material.evaluate(*at[:4]) @ luminance)[:, None]
+        ),
+    )
     words = (
         "D F G / (4 cos theta_i cos theta_o) with height-correlated masking and Fresnel's equations of n, and L / pi times 1 - the lobe's "
         "reflectance from the direction of view"
@@ -103,7 +123,7 @@ def _of_facets(bsdf: xr.Dataset, distribution: str, index: float | None, limit: 
     return {"formula": distribution, "brdf": words, **_within(limit, luminous, _error(found))}
 
 
-def _within(limit: float, parameters: dict[str, float], error: dict[str, float]) -> dict[str, Any]:
+def _within(limit: _Limits, parameters: dict[str, float], error: dict[str, float]) -> dict[str, Any]:
     """The error, and the parameters unless it is above the limit."""
     refusal = _refusal(limit, error)
     return {
@@ -112,16 +132,21 @@ def _within(limit: float, parameters: dict[str, float], error: dict[str, float])
     }
 
 
-def _refusal(limit: float, error: dict[str, float]) -> str:
+def _refusal(limit: _Limits, error: dict[str, float]) -> str:
     """Which error is above the limit; empty if none is."""
-    named = {"median error": error["median"], "error of the reflectance": error["albedo"]}
-    beyond = [words for words, size in named.items() if not size <= limit]
-    return f"the {beyond[0]} is above the limit of {limit:g}" if beyond else ""
+    named = {
+        "median error": (error["median"], limit.error),
+        "error of the reflectance": (error["albedo"], limit.error),
+        "colour difference": (error.get("delta_e_00", 0.0), limit.delta_e),
+    }
+    beyond = [(words, most) for words, (size, most) in named.items() if not size <= most]
+    return f"the {beyond[0][0]} is above the limit of {beyond[0][1]:g}" if beyond else ""
 
 
 def _error(found: ScatterError | Fit) -> dict[str, float]:
     sizes = {name: _digits(getattr(found, name)) for name in ("median", "percentile_95", "albedo", "peak")}
-    return {**sizes, "directions": found.directions}
+    colour = {} if found.delta_e is None else {"delta_e_00": _digits(found.delta_e)}
+    return {**sizes, **colour, "directions": found.directions}
 
 
 def _digits(value: float) -> float:

@@ -35,6 +35,8 @@ _NEAR_NORMAL, _NEAR_GRAZING = 10.0, 75.0
 """Incidences that a table has to reach to serve for all directions without a warning [degree]."""
 _INCIDENCES_OF_HALF_ANGLES = np.array([10.0, 45.0, 75.0])
 _MOST_INTEGRATED = 5
+_MOST_LISTED = 13
+"""Incidences of which a warning lists both reflectances."""
 _HORIZON = 89.9
 _MOST_COMPARED = 4000
 
@@ -322,10 +324,12 @@ def _declared(read: ReadTable, table: xr.Dataset) -> list[str]:
     worst = int(np.argmax(np.abs(np.log(np.maximum(ratio, 1e-12)))))
     if abs(ratio[worst] - 1) <= INTEGRAL_LIMIT:
         return []
+    chosen = np.unique([*np.linspace(0, ratio.size - 1, min(ratio.size, _MOST_LISTED)).astype(int), worst])
     listed = ", ".join(
         f"{angle:g}°: {of_values:.3f} ({of_file:.3f} declared)"
-        for angle, of_values, of_file in zip(angles[known], own[known], stated[known], strict=True)
-        if angle in (angles[known][0], angles[known][known.sum() // 2], angles[known][worst])
+        for angle, of_values, of_file in zip(
+            angles[known][chosen], own[known][chosen], stated[known][chosen], strict=True
+        )
     )
     return [
         f"the integral of the values differs from the reflectance that the file declares by up to {abs(ratio[worst] - 1):.0%}: {listed}; "

@@ -12,7 +12,7 @@ from scipy.optimize import minimize
 from brdfpipe.appearance import colours
 from brdfpipe.bsdf.nonspectral import nonspectral
 from brdfpipe.bsdf.registry import representation
-from brdfpipe.bsdf.table_error import Pairs, errors_at, fresh_pairs, fresh_pairs_at
+from brdfpipe.bsdf.table_error import Evaluate, Pairs, errors_at, fresh_pairs, fresh_pairs_at
 from brdfpipe.exchange.fits.forms import Lobe, Material, base_share
 from brdfpipe.exchange.gridded import linear_rgb
 from brdfpipe.exchange.registry import ExchangeError
@@ -250,16 +250,32 @@ def _reflectance(bsdf: xr.Dataset) -> Array:
 
 
 def _delta_e(bsdf: xr.Dataset, material: Material) -> float:
-    white = colorimetry.weights("D65", 2).white
+    white, at = colorimetry.weights("D65", 2).white, _colour_directions()
+    xyz = colours.xyz_of(bsdf, representation(bsdf).evaluate(*at, None), "D65", 2)
+    of_fit = material.evaluate(*at) * np.pi @ np.linalg.inv(colorimetry.srgb_from_xyz(white)).T
+    labs = (colorimetry.xyz_to_lab(np.maximum(values, 0.0), white) for values in (xyz, of_fit))
+    return float(np.max(colorimetry.delta_e_00(*labs)))
+
+
+def delta_e_of_greys(reduced: xr.Dataset, evaluate: Evaluate) -> float:
+    """Largest CIEDE2000 at :data:`COLOUR_GEOMETRIES` of a fit without colour: greys of both luminances.
+
+    Parameters
+    ----------
+    reduced : kind ``bsdf``, weighted with V(λ)
+    evaluate : the fit
+    """
+    white, at = colorimetry.weights("D65", 2).white, _colour_directions()
+    both = (np.pi * values(*at, None)[:, :1] * white for values in (representation(reduced).evaluate, evaluate))
+    labs = (colorimetry.xyz_to_lab(np.maximum(values, 0.0), white) for values in both)
+    return float(np.max(colorimetry.delta_e_00(*labs)))
+
+
+def _colour_directions() -> Pairs:
     named: dict[str, Directions] = {}
     for name in COLOUR_GEOMETRIES:
         named |= named_directions(name)
-    at = colours.angles(named)
-    xyz = colours.xyz_of(bsdf, representation(bsdf).evaluate(at[0], at[1], at[2], at[3], None), "D65", 2)
-    rgb = material.evaluate(at[0], at[1], at[2], at[3]) * np.pi
-    of_fit = rgb @ np.linalg.inv(colorimetry.srgb_from_xyz(white)).T
-    labs = (colorimetry.xyz_to_lab(np.maximum(values, 0.0), white) for values in (xyz, of_fit))
-    return float(np.max(colorimetry.delta_e_00(*labs)))
+    return Pairs(*colours.angles(named))
 
 
 def luminance_of_rgb() -> Array:

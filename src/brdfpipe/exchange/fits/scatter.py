@@ -15,7 +15,7 @@ from scipy.optimize import least_squares
 from brdfpipe.bsdf.nonspectral import nonspectral
 from brdfpipe.bsdf.registry import representation
 from brdfpipe.bsdf.table_error import Pairs, errors_at, fresh_pairs, fresh_pairs_at
-from brdfpipe.exchange.fits.fitting import INCIDENCES, LEAST_REFLECTANCE, reflected_light
+from brdfpipe.exchange.fits.fitting import INCIDENCES, LEAST_REFLECTANCE, delta_e_of_greys, reflected_light
 from brdfpipe.geometry import Array
 
 _COMPARED = 7
@@ -87,6 +87,8 @@ class ScatterError:
     """Largest error of the directional reflectance at the incidences, relative to it"""
     peak: float
     """Largest error of the BRDF in the mirror direction of the incidences, relative to it"""
+    delta_e: float | None
+    """See :func:`brdfpipe.exchange.fits.fitting.delta_e_of_greys`; None of a single incidence"""
     directions: int
 
 
@@ -171,6 +173,7 @@ def error_by_incidence(
         float(np.quantile(errors, 0.95)),
         float((off / np.maximum(scattered, LEAST_REFLECTANCE)).max()),
         float(errors_at(reduced, evaluate, Pairs(incidences, plane, incidences, plane + 180.0)).max()),
+        delta_e_of_greys(reduced, evaluate) if theta_i is None else None,
         errors.size,
     )
 
