@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -152,7 +152,8 @@ def camera_error(problem: str = "no frame") -> DeviceError:
 
 
 def take(plan: Plan, bench: RigDevices, folder: Path, **options: Any) -> Summary:
-    """A scan whose operator confirms everything, with a clock that always reads 0."""
+    """A scan whose operator confirms everything, with a clock that always reads 0; the pictures of fake cameras are not judged."""
+    plan = replace(plan, bad_frames="accept")
     return scan(plan, bench, folder, **{"clock": lambda: 0.0, "confirm": lambda arrangement, words: True, **options})
 
 

@@ -12,8 +12,9 @@ import xarray as xr
 
 from brdfpipe import vocabulary
 from brdfpipe.errors import InputError, abbreviated
+from brdfpipe.rig.acquisition import journal as journals
 from brdfpipe.rig.frame_file import Frame, FrameError, read_frame, utc
-from brdfpipe.rig.plan import FRAMES, PLAN, Arrangement, Plan, Shot
+from brdfpipe.rig.plan import FRAMES, JOURNAL, PLAN, Arrangement, Plan, Shot
 
 EMULATED = "emulated"
 """Part of the name of an emulated camera. A camera behind a drop folder is named by its folder."""
@@ -46,7 +47,7 @@ def read_run(folder: str | Path, incidence: float | None = None) -> xr.Dataset:
     if incidence is not None and incidence not in planned:
         accepted = ", ".join(f"{angle:g}" for angle in planned)
         raise InputError(folder / PLAN, "incidence not in the plan", found=f"{incidence:g}", accepted=accepted)
-    results = dict(read_shots(folder, plan, shots))
+    results = dict(_unchanged(folder, read_shots(folder, plan, shots)))
     frames = {shot: result for shot, result in results.items() if isinstance(result, Frame)}
     problems = {shot: result for shot, result in results.items() if isinstance(result, FrameError)}
     missing = [shot for shot in shots if shot not in frames and _is_requested(shot, incidence)]
@@ -62,6 +63,28 @@ def read_run(folder: str | Path, incidence: float | None = None) -> xr.Dataset:
     others = {shot: replace(shot, purpose="drift") for shot in frames if not _is_requested(shot, incidence)}
     labelled = {others.get(shot, shot): frame for shot, frame in frames.items()}
     return vocabulary.add_warning(frames_dataset(labelled, plan), *messages)
+
+
+def _unchanged(
+    folder: Path, results: Iterator[tuple[Shot, Frame | FrameError]]
+) -> Iterator[tuple[Shot, Frame | FrameError]]:
+    """Results in which a frame that differs from the one the journal recorded, or belongs to a rejected arrangement, is an error."""
+    recorded: dict[int, str] = {}
+    rejected: set[str] = set()
+    for event in journals.read(folder / JOURNAL):
+        if event["event"] in ("frame", "adopted"):
+            recorded[event.get("shot", 0)] = event.get("sha256", "")
+        elif event["event"] == "rejected":
+            rejected |= set(event.get("sha256", ()))
+    for shot, result in results:
+        if isinstance(result, Frame):
+            path = folder / FRAMES / shot.name
+            if recorded.get(shot.ordinal, result.digest) != result.digest:
+                result = FrameError(path, "changed since it was taken", accepted="the file that the journal recorded")
+            elif result.digest in rejected:
+                problem = "of an arrangement that the scan rejected"
+                result = FrameError(path, problem, accepted="a frame taken again by `--resume`")
+        yield shot, result
 
 
 def read_shots(folder: Path, plan: Plan, shots: Iterable[Shot]) -> Iterator[tuple[Shot, Frame | FrameError]]:

@@ -104,6 +104,8 @@ class Plan:
     etalon_entrances: tuple[float, ...]
     path: Path = field(compare=False, repr=False)
     """The file of the plan."""
+    bad_frames: str = field(default="retake", compare=False)
+    """What a scan does with a bad frame; another choice does not make another plan."""
 
     @classmethod
     def load(cls, path: str | Path) -> Plan:
@@ -132,6 +134,7 @@ class Plan:
             side=tuple(content["side"]),
             etalon_entrances=tuple(map(float, content.get("etalon_entrances", [rig.etalon_entrance]))),
             path=path,
+            bad_frames=content["bad_frames"],
         )
         _check(description, plan)
         return plan

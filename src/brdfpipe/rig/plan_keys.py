@@ -11,6 +11,14 @@ from brdfpipe.rig.rig_keys import Entrances
 STEP_SLACK = 1e-6
 """Part of a step by which rounded wavelengths may miss the last one."""
 
+BAD_FRAMES = {
+    "retake": "take it again, at most twice, then stop",
+    "stop": "stop at once",
+    "warn": "keep it with a warning",
+    "accept": "keep it unchecked",
+}
+"""What a scan does with a bad frame."""
+
 Wavelength = Annotated[float, Field(ge=100, le=20_000, description="a wavelength in nm")]
 Wavelengths = Annotated[list[Wavelength], Items(rising=True), Field(min_length=1, max_length=2000)]
 
@@ -133,6 +141,12 @@ class PlanKeys(Keys):
         max_length=32,
         details="An entrance without a measurement of the etalon counts as known to 5 %.",
         example=[10, 20, 30, 45, 60],
+    )
+
+    bad_frames: Annotated[str, OneOf(tuple(BAD_FRAMES))] = key(
+        "what a scan does with a frame that its checks find bad: "
+        + "; ".join(f"{name}: {words}" for name, words in BAD_FRAMES.items()),
+        default="retake",
     )
 
     @model_validator(mode="after")

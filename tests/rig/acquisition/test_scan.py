@@ -18,8 +18,10 @@ from astropy.io import fits
 
 from brdfpipe.errors import InputError
 from brdfpipe.rig.acquisition import journal
+from brdfpipe.rig.acquisition.devices.connection import connect
 from brdfpipe.rig.acquisition.devices.errors import DeviceError, DeviceLost, WrongDevice
-from brdfpipe.rig.acquisition.scan import ScanStopped, last_finished
+from brdfpipe.rig.acquisition.scan import ScanStopped, last_finished, scan
+from brdfpipe.rig.emulator.emulated_scan import automatic_operator
 from brdfpipe.rig.frame_file import frame_size, read_frame
 from brdfpipe.rig.frames import read_run
 from brdfpipe.rig.plan import Plan
@@ -593,3 +595,79 @@ def test_a_device_that_fails_before_the_first_frame_stops_the_scan(plan, folder)
     with pytest.raises(DeviceError, match="no answer"):
         small_rig.take(plan, small_rig.fake_bench(wheel=Absent()), folder)
     assert small_rig.take(plan, small_rig.fake_bench(), folder, resume=True).taken == len(plan.shots)
+
+
+# --- frames that are bad
+
+
+class Spoiling:
+    """The emulated camera, some of whose frames are replaced before the scan sees them."""
+
+    def __init__(self, camera, spoil):
+        self.camera, self.spoil, self.number, self.last = camera, spoil, 0, None
+
+    def identify(self):
+        return self.camera.identify()
+
+    def expose(self, seconds, *, shutter=True):
+        self.number += 1
+        raw = self.camera.expose(seconds, shutter=shutter)
+        spoilt = replace(raw, counts=self.spoil(self.number, raw.counts, self.last))
+        self.last = spoilt.counts
+        return spoilt
+
+
+def stuck(numbers):
+    """A camera that repeats its last frame at these exposures."""
+    return lambda number, counts, last: last if number in numbers else counts
+
+
+def spoilt_scan(plan, folder, spoil, **options):
+    with small_rig.emulated(plan, folder=folder if folder.exists() else None) as (rig, camera):
+        return small_rig.take_emulated(plan, folder, rig, Spoiling(camera, spoil), **options)
+
+
+def test_a_bad_frame_is_taken_again(plan, folder):
+    done = spoilt_scan(plan, folder, stuck({15}))
+    assert (done.retries, done.warnings) == (1, ())
+    (event,) = events(folder, "retry")
+    assert event["shot"] == 15
+    assert "identical to frame 14" in event["problem"]
+
+
+def test_a_camera_that_stays_stuck_stops_the_scan_with_advice(plan, folder):
+    with pytest.raises(ScanStopped, match=r"before frame 15 .*identical to frame 14.*restart both"):
+        spoilt_scan(plan, folder, lambda number, counts, last: last if number >= 15 else counts)
+    assert len(on_disk(folder)) == 14
+
+
+def test_the_first_bad_frame_stops_a_scan_that_asks_for_it(plan, folder):
+    with pytest.raises(ScanStopped, match="identical"):
+        spoilt_scan(replace(plan, bad_frames="stop"), folder, stuck({15}))
+    assert events(folder, "retry")[-1]["attempt"] == 1
+
+
+def test_a_bad_frame_may_be_kept_with_a_warning(plan, folder):
+    done = spoilt_scan(replace(plan, bad_frames="warn"), folder, stuck({15}))
+    assert len(done.warnings) == 1
+    assert "frame 15: identical to frame 14" in done.warnings[0]
+    assert [event["check"] for event in events(folder, "noticed")] == ["identical"]
+
+
+def test_an_arrangement_that_was_not_made_is_rejected_and_taken_again(tmp_path, folder):
+    text = small_rig.PLAN.replace("incidences: [20]", "incidences: [20, 45]")
+    plan = Plan.load(small_rig.write(tmp_path / "two", text))
+    with small_rig.emulated(plan) as (rig, camera), connect(rig.rig, camera=camera) as devices:
+
+        def confirm(arrangement, words):
+            return arrangement.incidence == 45 or automatic_operator(rig)(arrangement, words)
+
+        with pytest.raises(
+            ScanStopped, match=r"picture is that of the sample at 20° .*not changed for the sample at 45°"
+        ):
+            scan(plan, devices, folder, clock=rig.clock.now, confirm=confirm)
+    (rejected,) = events(folder, "rejected")
+    assert (rejected["check"], rejected["problem"].split()[:2]) == ("alike", ["the", "picture"])
+    done = spoilt_scan(plan, folder, stuck(()), resume=True)
+    assert done.frames == len(on_disk(folder)) == len(plan.shots)
+    assert sum("its arrangement was rejected" in warning for warning in done.warnings) == len(rejected["shots"])

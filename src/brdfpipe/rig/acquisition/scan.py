@@ -2,7 +2,8 @@
 
 A frame is accepted only if both devices report the requested state before and after its exposure. The frames in the folder of the run alone decide
 what is finished. After any interruption (Ctrl-C, kill, a disconnected device, a full disk, a power failure) the same command with ``--resume``
-takes the missing frames and no others.
+takes the missing frames and no others. Each frame is judged (:mod:`brdfpipe.rig.checks`) before it is stored; the plan's ``bad_frames`` says
+what happens to a bad one.
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ from brdfpipe.rig.acquisition import run_folder
 from brdfpipe.rig.acquisition.devices.connection import RigDevices
 from brdfpipe.rig.acquisition.devices.errors import DeviceError, DeviceLost, WrongDevice
 from brdfpipe.rig.acquisition.estimate import durations
+from brdfpipe.rig.checks.frame_judge import Finding, FrameJudge
 from brdfpipe.rig.filter_location import check_overlaps
 from brdfpipe.rig.frame_file import WAVELENGTH_TOLERANCE, DeviceState, Frame, FrameError, frame_size, write_frame
 from brdfpipe.rig.frames import frames_dataset, read_shots
@@ -47,6 +49,14 @@ _BRACKET = attrgetter("purpose", "arrangement", "wavelength")
 
 Confirm = Callable[[Arrangement, str], bool]
 """Asks the operator to arrange mirrors and sample, also described in words; returns whether it is done."""
+
+
+class BadFrame(DeviceError):
+    """A frame that its checks find bad; it may be better when it is taken again."""
+
+
+class BadArrangement(BrdfpipeError):
+    """Frames show that mirrors or holder are not arranged as confirmed."""
 
 
 class ScanStopped(BrdfpipeError):
@@ -139,6 +149,14 @@ class _Scan:
     _mean_darks: dict[float, Array] = field(default_factory=dict)
     _warnings: list[str] = field(default_factory=list)
     _retries: int = 0
+    _judge: FrameJudge | None = None
+    """None where frames are accepted unchecked."""
+    _digests: dict[Shot, str] = field(default_factory=dict)
+    _warned: set[tuple[str, Arrangement]] = field(default_factory=set)
+
+    def __post_init__(self) -> None:
+        if self.plan.bad_frames != "accept":
+            self._judge = FrameJudge(self.plan.rig)
 
     def run(self, progress: bool) -> Summary:
         """Take the missing frames."""
@@ -158,8 +176,13 @@ class _Scan:
         events = journals.read(self.folder / JOURNAL)
         digests = {event.get("shot"): event.get("sha256") for event in events if event["event"] in ("frame", "adopted")}
         self._filters_checked = any(event["event"] == "overlap" for event in events)
+        rejected: set[str] = set()
+        if self.plan.bad_frames in ("retake", "stop"):
+            rejected = {digest for event in events if event["event"] == "rejected" for digest in event["sha256"]}
         for shot, result in read_shots(self.folder, self.plan, self.plan.shots):
-            if isinstance(result, Frame) and digests.get(shot.ordinal, result.digest) == result.digest:
+            if isinstance(result, Frame) and result.digest in rejected:
+                self._warn(f"{shot.name}: its arrangement was rejected; the frame is taken again")
+            elif isinstance(result, Frame) and digests.get(shot.ordinal, result.digest) == result.digest:
                 if shot.ordinal not in digests:
                     self.journal.append("adopted", **self._frame_record(shot, result))
                 self._add_finished(shot, result)
@@ -252,15 +275,16 @@ class _Scan:
                 before = self._move_devices(shot)
                 raw = self._read_camera(shot)
                 after = self._device_state()
-                if before.position == after.position and abs(before.wavelength - after.wavelength) <= STILL:
-                    return raw, before
-                raise DeviceError("rig", f"a device moved during the exposure: {before} before, {after} after")
+                if before.position != after.position or abs(before.wavelength - after.wavelength) > STILL:
+                    raise DeviceError("rig", f"a device moved during the exposure: {before} before, {after} after")
+                self._check_frame(shot, raw, before)
+                return raw, before
             except (DeviceLost, WrongDevice):
                 raise
             except DeviceError as error:
                 self._requested = None
                 self.journal.append("retry", shot=shot.ordinal, attempt=attempt, problem=str(error))
-                if attempt == ATTEMPTS:
+                if attempt == ATTEMPTS or (isinstance(error, BadFrame) and self.plan.bad_frames == "stop"):
                     raise
                 self._retries += 1
 
@@ -293,7 +317,43 @@ class _Scan:
             raise DeviceError("camera", f"invalid start of the exposure: {raw.started}")
         return raw
 
+    def _check_frame(self, shot: Shot, raw: RawFrame, state: DeviceState) -> None:
+        """Judge a frame before it is stored. Raises BadFrame or BadArrangement, as the plan's ``bad_frames`` asks."""
+        if self._judge is None:
+            return
+        last = shot.step == len(self.plan.bracket)
+        for finding in self._judge.judge(shot, raw.counts, wavelength_read=state.wavelength, last_of_bracket=last):
+            if finding.severity == "warning" or self.plan.bad_frames == "warn":
+                self._note(shot, finding)
+            elif finding.arrangement:
+                self._reject_arrangement(shot, finding)
+                raise BadArrangement(finding.text)
+            else:
+                raise BadFrame("frame", f"{finding.name}: {finding.text}")
+
+    def _note(self, shot: Shot, finding: Finding) -> None:
+        """Record a finding, and warn of it once in an arrangement."""
+        self.journal.append("noticed", shot=shot.ordinal, check=finding.name, problem=finding.text)
+        if (key := (finding.name, shot.arrangement)) not in self._warned:
+            self._warned.add(key)
+            self._warn(f"frame {shot.ordinal}: {finding.text}")
+
+    def _reject_arrangement(self, shot: Shot, finding: Finding) -> None:
+        """Record that the finished frames of the shot's arrangement must be taken again."""
+        shots = [other for other in self._finished if other.arrangement == shot.arrangement and not other.dark]
+        shots.sort(key=attrgetter("ordinal"))
+        self.journal.append(
+            "rejected",
+            shots=[other.ordinal for other in shots],
+            sha256=[self._digests[other] for other in shots],
+            check=finding.name,
+            problem=finding.text,
+        )
+
     def _add_finished(self, shot: Shot, frame: Frame) -> None:
+        self._digests[shot] = frame.digest
+        if self._judge is not None:
+            self._judge.learn(shot, frame.counts)
         if self._run_start is None:
             self._run_start = frame.run_start
         self._finished.add(shot)

@@ -83,6 +83,8 @@ class Effects:
     """Relative standard deviation of the pixels' response to light."""
     bias: float = 100.0
     """Counts without electrons."""
+    cosmic: float = 0.0
+    """Mean number of cosmic hits in a frame; each leaves some thousand electrons in up to three pixels."""
     compression: float = 75e3
     """Scale c [e⁻] of the compression e' = l + c ln(1 + (e − l)/c) beyond the linear range l; 0 is linear throughout."""
 

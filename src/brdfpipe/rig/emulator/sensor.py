@@ -45,11 +45,29 @@ class Sensor:
         """Counts of a frame, with noise from ``noise``."""
         camera, effects = self._camera, self._effects
         electrons = noise.poisson(expected).astype(float) if effects.photon_noise else expected
+        if effects.cosmic:
+            electrons = electrons + cosmic_hits(electrons.shape, effects.cosmic, noise)
         charge = compressed(electrons, camera.linear_to, effects.compression)
         if effects.read_noise:
             charge = charge + effects.read_noise * noise.standard_normal(charge.shape)
         counts = np.rint(charge / camera.gain + effects.bias)
         return np.clip(counts, 0, camera.full).astype(np.uint16)
+
+
+def cosmic_hits(shape: tuple[int, ...], count: float, noise: np.random.Generator) -> Array:
+    """Electrons of cosmic hits on a frame (height, width): tracks of one to three pixels with 3000 electrons on average in each."""
+    charge = np.zeros(shape)
+    hits = noise.poisson(count)
+    row, column = (noise.integers(0, size, hits) for size in shape)
+    steps = noise.integers(-1, 2, (2, hits))
+    for pixel in range(3):
+        reached = noise.integers(1, 4, hits) > pixel
+        at = [
+            np.clip(start + pixel * step, 0, size - 1)
+            for start, step, size in zip((row, column), steps, shape, strict=True)
+        ]
+        np.add.at(charge, (at[0][reached], at[1][reached]), noise.exponential(3000.0, int(reached.sum())))
+    return charge
 
 
 def hot_pixels(shape: tuple[int, int], effects: Effects, seed: int) -> Array:

@@ -20,7 +20,7 @@ from brdfpipe.geometry import Array
 from brdfpipe.rig import screen as screens
 from brdfpipe.rig.description import Rig
 from brdfpipe.rig.reduction import cells as rig_cells
-from brdfpipe.rig.reduction import exposures, registration
+from brdfpipe.rig.reduction import cosmic_hits, exposures, registration
 from brdfpipe.rig.reduction.exposures import ExposureError, HotPixels, Mask, MeanDark, Picture
 
 _OVERLAP_ELECTRONS = 500.0  # electrons in the darker of two frames above which a pixel belongs to their overlap
@@ -69,6 +69,7 @@ class Bracket:
     exposure: Array  # (frame,) [s]
     positions: NDArray[np.int64]  # (frame,) of the filter wheel
     floor: Array  # (frame,) variance of a pixel without light [e⁻²]
+    cosmic_hits: int = 0  # isolated bright pixels that were replaced
 
 
 @dataclass(frozen=True)
@@ -84,7 +85,7 @@ class Scale:
 
 
 def read_bracket(frames: xr.Dataset, darks: DarkFrames, rig: Rig) -> Bracket:
-    """The light of some frames of one arrangement. Raises ExposureError: there is no dark frame of an exposure time."""
+    """The light of some frames of one arrangement, without isolated cosmic hits. Raises ExposureError: there is no dark frame of an exposure time."""
     light, usable, floor = [], [], []
     for counts, exposure in zip(frames["counts"].values, frames["exposure"].values, strict=True):
         if (dark := darks.by_exposure.get(float(exposure))) is None:
@@ -97,7 +98,9 @@ def read_bracket(frames: xr.Dataset, darks: DarkFrames, rig: Rig) -> Bracket:
         floor.append(rig.camera.gain**2 * dark.floor)
     stacked = np.array(light)
     darks.hot_pixels.interpolate(stacked)
-    return Bracket(stacked, np.array(usable), frames["exposure"].values, frames["nd_position"].values, np.array(floor))
+    hits = sum(cosmic_hits.replace_peaks(light, variance) for light, variance in zip(stacked, floor, strict=True))
+    exposure, positions = frames["exposure"].values, frames["nd_position"].values
+    return Bracket(stacked, np.array(usable), exposure, positions, np.array(floor), hits)
 
 
 def locate_reference_spot(rig: Rig, frames: Bracket) -> ReferenceSpot:

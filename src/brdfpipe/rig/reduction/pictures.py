@@ -8,7 +8,7 @@ import xarray as xr
 from brdfpipe.geometry import Array
 from brdfpipe.rig import screen as screens
 from brdfpipe.rig.description import Rig, Screen
-from brdfpipe.rig.reduction import brackets, exposures
+from brdfpipe.rig.reduction import brackets, cosmic_hits, exposures
 from brdfpipe.rig.reduction.brackets import Bracket, DarkFrames, Scale
 from brdfpipe.rig.reduction.exposures import Mask, Merged
 
@@ -16,10 +16,11 @@ _MARGIN = 4.0  # distance from disc and spots beyond which the picture holds onl
 
 
 def merge_bracket(bracket: Bracket, scale: Scale) -> Merged | None:
-    """The merged picture of a bracket; None if no frame shows the reference."""
+    """The merged picture of a bracket, without cosmic hits that its other frames reveal; None if no frame shows the reference."""
     if not np.isfinite(scale.lamp):
         return None
-    return exposures.merge(bracket.light, bracket.usable, scale.k, bracket.floor)
+    hits = cosmic_hits.contradicted(bracket.light, bracket.usable, scale.k, bracket.floor)
+    return exposures.merge(bracket.light, bracket.usable & ~hits, scale.k, bracket.floor)
 
 
 def fill_saturated(merged: Merged) -> Array:

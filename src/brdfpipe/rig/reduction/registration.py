@@ -30,7 +30,9 @@ FIBRES_ENOUGH = 12
 _DISTORTION_U = 0.2  # standard uncertainty of a shift [pixel] fitted to few spots, with the described lens
 _POSITION_U = 0.5  # standard uncertainty of the picture's position [pixel] without any spot
 _FEWEST_TARGET_SPOTS = 3
-_SEARCH = 4  # largest distance of a spot from its expected position [pixel]
+SEARCH = 4
+"""Largest distance of a spot from its expected position [pixel]."""
+
 _SPOT_SNR = 25.0  # smallest ratio of a usable spot's light to its uncertainty
 _SENSOR_U = 0.02  # standard deviation [pixel] that the sensor's uneven response adds to a centroid
 _ROUNDS = 3
@@ -72,7 +74,7 @@ def centroids(picture: Array, variance: Array, column: ArrayLike, row: ArrayLike
     """
     start = x, y = np.ravel(np.asarray(column, dtype=float)), np.ravel(np.asarray(row, dtype=float))
     clear, u, spread = np.ones(x.shape, dtype=bool), np.full(x.shape, np.inf), np.zeros(x.shape)
-    half_width = int(np.ceil(radius)) + _SEARCH
+    half_width = int(np.ceil(radius)) + SEARCH
     steps = np.arange(-half_width, half_width + 1)
     height, width = picture.shape
     for _ in range(_ROUNDS):
@@ -83,7 +85,7 @@ def centroids(picture: Array, variance: Array, column: ArrayLike, row: ArrayLike
         dx, dy = columns - x[:, None, None], rows - y[:, None, None]
         distance = np.hypot(dx, dy)
         inside = distance <= radius + 2
-        ring = np.where(~inside & (distance <= radius + _SEARCH), picture[rows, columns], np.nan)
+        ring = np.where(~inside & (distance <= radius + SEARCH), picture[rows, columns], np.nan)
         clear &= np.isfinite(ring).any(axis=(1, 2))
         ring[~clear] = 0.0
         light = np.where(inside, picture[rows, columns] - np.nanmedian(ring, axis=(1, 2))[:, None, None], 0.0)
@@ -95,7 +97,7 @@ def centroids(picture: Array, variance: Array, column: ArrayLike, row: ArrayLike
         spread = ((light * distance**2).sum(axis=(1, 2)) / total - step[0] ** 2 - step[1] ** 2) / 2
         x, y = x + step[0], y + step[1]
         u = np.sqrt((noise * distance**2 / 2).sum(axis=(1, 2))) / total
-        clear &= np.hypot(x - start[0], y - start[1]) <= _SEARCH
+        clear &= np.hypot(x - start[0], y - start[1]) <= SEARCH
     return Centroids(np.where(clear, x, start[0]), np.where(clear, y, start[1]), np.where(clear, u, np.inf), spread)
 
 

@@ -13,6 +13,7 @@ import xarray as xr
 from brdfpipe import vocabulary
 from brdfpipe.errors import BrdfpipeError, abbreviated
 from brdfpipe.geometry import Array
+from brdfpipe.rig.checks.run_checks import relevant, run_findings
 from brdfpipe.rig.description import Rig
 from brdfpipe.rig.filter_location import check_overlaps
 from brdfpipe.rig.frames import NOT_MEASURED
@@ -35,6 +36,10 @@ COMPONENTS = {
 """Uncertainty components of q, independent from cell to cell or common to all cells of a picture."""
 
 _OUT_OF_RANGE = 0.99  # share of pixels out of the linear range above which a frame is unusable
+_USELESS = ("constant", "identical", "dark shows light", "equal to its dark")
+"""Checks whose bad frames are left out like missing ones; those of the others contradict their labels."""
+
+_LEFT_OUT = "The frame is not used; delete its file, and `brdfpipe rig scan … --resume` takes it again."
 _CHECKED = 5  # wavelengths whose overlapping frames are checked for the position of the filters
 _LISTED = 8  # most entries of a list in a message
 
@@ -84,8 +89,11 @@ def reduce(
     if rig.target is not None and target is not frames and (target["purpose"] == "target").any():
         _check_same_rig(target, rig)
     chosen = _frames_of_arrangement(frames, load, side, incidence)
+    frames, frame_warnings = _without_bad_frames(frames, target, chosen, rig, override)
+    chosen = _frames_of_arrangement(frames, load, side, incidence)
     darks = DarkFrames.of(frames, rig)
     warnings = [*_too_few_darks(darks), *_filter_warnings(frames, chosen, rig, override)]
+    warnings += frame_warnings
     wavelengths = np.unique(chosen["wavelength"].values)
     spot: ReferenceSpot | None = None
     scales: list[Scale] = []
@@ -149,6 +157,46 @@ def _filter_warnings(frames: xr.Dataset, chosen: xr.Dataset, rig: Rig, override:
     if check.overlaps and check.nd_location != rig.nd_location and not override:
         raise ReductionError("; ".join(check.warnings))
     return list(check.warnings)
+
+
+def _without_bad_frames(
+    frames: xr.Dataset, target: xr.Dataset, chosen: xr.Dataset, rig: Rig, override: bool
+) -> tuple[xr.Dataset, list[str]]:
+    """The frames without those that show nothing, and warnings.
+
+    ReductionError if frames contradict their labels and this is not accepted by ``override``: which of them are wrong is unknown.
+    """
+    load, side, incidence = (chosen[name].values[0].item() for name in ("purpose", "side", "incidence"))
+    found = run_findings(relevant(frames, load, side, incidence), rig)
+    if target is not frames:
+        found += run_findings(target.isel(frame=np.isin(target["purpose"].values, ("target", "dark"))), rig)
+    texts: dict[str, list[str]] = {}
+    for shot, finding in found:
+        texts.setdefault(finding.name, []).append(f"frame {shot.ordinal}: {finding.text}")
+    summed = {
+        name: f"{lines[0]}{f' ({len(lines)} such frames)' if len(lines) > 1 else ''}" for name, lines in texts.items()
+    }
+    useless = {
+        shot.ordinal
+        for shot, finding in found
+        if finding.severity == "bad" and finding.name in (("dark shows light",) if shot.dark else _USELESS)
+    }
+    contradictory = {finding.name for _, finding in found if finding.severity == "bad"} - {*_USELESS, "saturated"}
+    if contradictory and not override:
+        raise ReductionError(
+            f"frames contradict their labels: {'; '.join(text for name, text in summed.items() if name in contradictory)}. Take the frames again, or "
+            "accept them with `override: true`, which the results record"
+        )
+    warnings = []
+    for name, text in summed.items():
+        left_out = f" {_LEFT_OUT}" if name in _USELESS else ""
+        warnings.append(f"{text[0].upper()}{text[1:]}.{left_out}")
+    # A wavelength without any light is named and left missing; it needs its frames.
+    left = ~np.isin(frames["shot"].values, list(useless))
+    for wavelength in np.unique(chosen["wavelength"].values):
+        own = np.isin(frames["shot"].values, chosen["shot"].values[chosen["wavelength"].values == wavelength])
+        left |= own & ~(own & left).any()
+    return frames.isel(frame=left), warnings
 
 
 def _too_few_darks(darks: DarkFrames) -> Iterator[str]:
