@@ -841,9 +841,35 @@ class Smoothing(Keys):
         "pspline, keldysh (the preprint's, repaired) or keldysh-printed (as printed, for comparison)", default="pspline"
     )
     strength: float = key("strength of smoothing", default_words="by cross-validation", gt=0)
-    symmetric: bool = key(
-        "true if both sides of the plane of incidence are alike, false for a surface with a lay", default=True
+    mirror_symmetric: bool = key(
+        "true if both sides of the plane of incidence are alike: of every surface without a lay, and of a lay along or across that plane",
+        default=True,
     )
+    isotropic: bool = key(
+        "true if the sample may be rotated in its plane without a change; false for a surface with a lay, of which the two directions of light are "
+        "not averaged",
+        default=True,
+    )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _refuse_former_key(cls, content: Any) -> Any:
+        if isinstance(content, dict) and "symmetric" in content:
+            instead = "`mirror_symmetric: true` and `isotropic: true`"
+            if content["symmetric"] is False:
+                instead = "`isotropic: false`, and `mirror_symmetric: false` unless the lay is along or across the plane of incidence"
+            problem = "`symmetric` was split: a surface with a lay may be alike on both sides of the plane of incidence"
+            raise InputError("", problem, where="symmetric", accepted=instead)
+        return content
+
+    @model_validator(mode="after")
+    def _check_lay(self) -> Self:
+        if self.isotropic and not self.mirror_symmetric:
+            problem = "a surface that may be rotated without a change is alike on both sides of every plane"
+            raise InputError(
+                "", problem, where="mirror_symmetric", found="false", accepted="true, or `isotropic: false` beside it"
+            )
+        return self
 
 
 class Emulation(Keys):
@@ -867,7 +893,7 @@ class _Rig(Keys):
         "name of the calibration's folder in calibrations/ of the catalogue", required=True, min_length=1, max_length=64
     )
     smoothing: Smoothing = key(
-        "how the values of the cells are smoothed {mode, strength, symmetric}",
+        "how the values of the cells are smoothed {mode, strength, mirror_symmetric, isotropic}",
         default=Smoothing.model_construct(),
         stage="smoothed",
     )

@@ -433,7 +433,7 @@ def test_two_pictures_that_were_exchanged_contradict_the_rest(paint):
 
 def test_reciprocity_is_not_averaged_for_a_surface_with_a_lay(paint):
     primary = rig_primary.measured(rig_primary.of_model(paint), INCIDENCES, WAVELENGTHS, noise=0.01)
-    bsdf = completion.complete(smoothing.smooth(primary, symmetric=False))
+    bsdf = completion.complete(smoothing.smooth(primary, mirror_symmetric=False, isotropic=False))
     assert bsdf.attrs["reciprocity"] == "none"
     assert any("Measure the rotated sample" in text for text in vocabulary.warnings(bsdf))
 

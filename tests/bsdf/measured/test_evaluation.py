@@ -10,7 +10,7 @@ import rig_primary
 import samples
 
 from brdfpipe import store, vocabulary
-from brdfpipe.bsdf.measured import completion, evaluation, smoothing
+from brdfpipe.bsdf.measured import completion, coordinates, evaluation, smoothing
 from brdfpipe.bsdf.registry import representation
 from brdfpipe.errors import VocabularyError
 
@@ -265,9 +265,56 @@ def test_a_bsdf_that_leans_to_one_side_is_integrated_over_both_sides():
         brdf = 0.1 * (1 + 0.5 * np.sin(np.radians(theta)) * np.sin(np.radians(phi)))
         return np.broadcast_to(brdf, (wavelength.size, theta.size))
 
-    smoothed = smoothing.smooth(rig_primary.measured(leaning, (30.0, 50.0), [550.0]), symmetric=False)
+    smoothed = smoothing.smooth(
+        rig_primary.measured(leaning, (30.0, 50.0), [550.0]), mirror_symmetric=False, isotropic=False
+    )
     bsdf = completion.complete(smoothed, reciprocity=False)
     # What leans to one side is missing on the other.
     assert bsdf.bsdf.albedo(40.0).item() == pytest.approx(0.1 * np.pi, rel=0.02)
     left, right = bsdf.bsdf.evaluate(40, 0, 40, [90, 270]).values[:, 0]
     assert abs(left - right) > 0.02
+
+
+# --- between wavelengths
+
+
+def edge(incidence, theta, phi, wavelength):
+    """A red edge at 592 nm, as of a pigment."""
+    body = 0.03 + 0.2 / (1 + np.exp((592 - wavelength) / 6))[:, None]
+    return body + rig_primary.gaussian(theta, 8) * 0.5
+
+
+@pytest.fixture(scope="module")
+def pigment():
+    wavelengths = np.arange(450.0, 701.0, 25.0)
+    return completion.complete(smoothing.smooth(rig_primary.measured(edge, (10.0, 30.0), wavelengths, noise=0.005)))
+
+
+def test_an_edge_between_two_wavelengths_is_within_the_uncertainty(pigment):
+    between = np.arange(455.0, 700.0, 5.0)
+    theta_o, phi_o = np.linspace(20.0, 60.0, 12), np.full(12, 90.0)
+    value, u = (
+        getattr(evaluation, name)(pigment, np.full(12, 30.0), np.zeros(12), theta_o, phi_o, between)
+        for name in ("evaluate", "uncertainty")
+    )
+    theta, phi = coordinates.angles("mirror", np.full(12, 30.0), theta_o, phi_o)
+    z = (value - edge(30.0, theta, phi, between).T) / u
+    # Without the term, z reaches 20 at 575 and 600 nm.
+    assert 0.3 < np.sqrt(np.mean(z**2)) < 1.3
+    assert np.abs(z).max() < 6
+
+
+def test_at_the_measured_wavelengths_nothing_is_added(pigment):
+    own, all_ = np.array([500.0, 600.0]), pigment["wavelength"].values
+    at = np.array([30.0]), np.zeros(1), np.array([40.0]), np.array([90.0])
+    everywhere = evaluation.uncertainty(pigment, *at, None)[:, np.isin(all_, own)]
+    assert evaluation.uncertainty(pigment, *at, own) == pytest.approx(everywhere, rel=1e-12)
+
+
+def test_between_only_two_wavelengths_the_change_between_them_is_uncertain():
+    smoothed = smoothing.smooth(rig_primary.measured(edge, (10.0, 30.0), (570.0, 610.0), noise=0.005))
+    bsdf = completion.complete(smoothed)
+    at = np.array([30.0]), np.zeros(1), np.array([40.0]), np.array([90.0])
+    low, high = evaluation.evaluate(bsdf, *at, None)[0]
+    (u,) = evaluation.uncertainty(bsdf, *at, np.array([590.0]))[0]
+    assert u == pytest.approx((high - low) / 4, rel=0.05)

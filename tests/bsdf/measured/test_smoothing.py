@@ -246,7 +246,7 @@ def test_without_symmetry_a_lobe_may_lean_to_one_side():
         return np.broadcast_to(brdf, (wavelength.size, theta.size))
 
     primary, truth = rig_primary.measured(leaning), leaning(45.0, *AT, np.ones(1))[0]
-    even, any_ = (smoothing.smooth(primary, symmetric=option) for option in (True, False))
+    even, any_ = (smoothing.smooth(primary, mirror_symmetric=option, isotropic=False) for option in (True, False))
     assert rig_primary.rms(smoothing.evaluate(any_, *AT).values[0, 0], truth) < 0.01
     assert rig_primary.rms(smoothing.evaluate(even, *AT).values[0, 0], truth) > 0.1
 

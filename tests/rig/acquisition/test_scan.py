@@ -655,7 +655,7 @@ def test_a_bad_frame_may_be_kept_with_a_warning(plan, folder):
 
 
 def test_an_arrangement_that_was_not_made_is_rejected_and_taken_again(tmp_path, folder):
-    text = small_rig.PLAN.replace("incidences: [20]", "incidences: [20, 45]")
+    text = small_rig.PLAN.replace("incidences: [20]", "incidences: [20, 45]").replace("exposure: 1,", "exposure: 5,")
     plan = Plan.load(small_rig.write(tmp_path / "two", text))
     with small_rig.emulated(plan) as (rig, camera), connect(rig.rig, camera=camera) as devices:
 

@@ -12,6 +12,9 @@ from brdfpipe.bsdf.measured import basis as bases
 _ASYMMETRIC = 5.0
 """Standard deviations by which the means of two sides differ significantly."""
 
+_FEWEST_CELLS = 10  # cells from which a dependence on azimuth can be told from noise
+_COMMON_SHARE = 0.5  # share of the wavelengths at which a surface with a lay must show it
+
 
 def asymmetry(smoothed: xr.Dataset) -> float:
     """Difference of the mean residuals of the two sides of the plane of incidence [standard uncertainties].
@@ -25,6 +28,50 @@ def asymmetry(smoothed: xr.Dataset) -> float:
         return 0.0
     difference = abs(float(sides[0].mean() - sides[1].mean()))
     return difference if difference > _ASYMMETRIC * float(np.sqrt(sum(1 / side.size for side in sides))) else 0.0
+
+
+def azimuthal_residual(smoothed: xr.Dataset) -> float:
+    """Amplitude of cos 2φ and sin 2φ in the residuals at normal incidence [standard uncertainties], of one wavelength.
+
+    0 where it is not significant, away from normal incidence, and for a fit that does not assume an isotropic surface.
+    """
+    if float(smoothed["incidence"]) > 0 or smoothed.attrs.get("isotropic") == "false":
+        return 0.0
+    residual = smoothed["residual"].values
+    used = np.isfinite(residual) & (smoothed["theta_s"].values > 0)
+    if used.sum() < _FEWEST_CELLS:
+        return 0.0
+    twice = 2 * np.radians(smoothed["phi_s"].values[used])
+    design = np.stack([np.cos(twice), np.sin(twice)], axis=1)
+    part, *_ = np.linalg.lstsq(design, residual[used] - residual[used].mean(), rcond=None)
+    amplitude = float(np.hypot(*part))
+    return amplitude if amplitude > _ASYMMETRIC * float(np.sqrt(2 / used.sum())) else 0.0
+
+
+def symmetry_warnings(smoothed: xr.Dataset) -> list[str]:
+    """Warnings where the residuals contradict the mirror symmetry or the isotropy that the fit assumes, by incidence."""
+    one_sided, azimuthal = [], []
+    for incidence in smoothed["incidence"].values:
+        own = smoothed.sel(incidence=incidence)
+        fits = [own.sel(wavelength=wavelength) for wavelength in own["wavelength"].values]
+        for listed, measure in ((one_sided, asymmetry), (azimuthal, azimuthal_residual)):
+            sizes = [measure(fit) for fit in fits]
+            if np.mean([size > 0 for size in sizes]) > _COMMON_SHARE:
+                listed.append(
+                    f"{incidence:g}° ({np.median([size for size in sizes if size]):.1f} standard uncertainties)"
+                )
+    warnings = []
+    if one_sided:
+        warnings.append(
+            f"The two sides of the plane of incidence differ at {', '.join(one_sided)}, although the fit assumes that they are alike. If the sample "
+            "has a lay, set `rig.smoothing.isotropic: false` and `mirror_symmetric: false`; otherwise measure the angular target in this run."
+        )
+    if azimuthal:
+        warnings.append(
+            f"The light at normal incidence depends on the azimuth at {', '.join(azimuthal)}, as that of a surface with a lay, although the fit "
+            "assumes an isotropic surface. Set `rig.smoothing.isotropic: false`."
+        )
+    return warnings
 
 
 def uncertainty_enlargement(bsdf: xr.Dataset, smoothed: xr.Dataset) -> dict[float, float]:

@@ -36,7 +36,7 @@ _GRAZING = 85.0  # largest incidence to which the trend is continued [degree]
 _HIGHEST = 80.0  # largest θ_o of the averaged directions [degree]
 _ENTRANCE_ERROR = "path"  # the uncertainty component that is common to an incidence and independent between incidences
 _LAY_WARNING = (
-    "The BSDF was smoothed without symmetry, as of a surface with a lay. It is valid only in the plane of incidence that was measured; for the "
+    "The BSDF was smoothed as that of a surface with a lay. It is valid only in the plane of incidence that was measured; for the "
     "rotated sample it repeats that plane. Measure the rotated sample as a separate material."
 )
 
@@ -75,8 +75,8 @@ def complete(
     smoothed : kind ``smoothed``, of reflection
     transmitted : kind ``smoothed``, of transmission, with the same wavelengths and cells
     normal : one of :data:`NORMAL`; ignored where normal incidence was measured
-    reciprocity : whether f(i → o) and f(o → i) are averaged, weighted by the uncertainty at their incidence; ignored without symmetry,
-        because the reversed path is one of the rotated sample
+    reciprocity : whether f(i → o) and f(o → i) are averaged, weighted by the uncertainty at their incidence; ignored for a surface that is not
+        isotropic, because the reversed path is one of the rotated sample
 
     Returns
     -------
@@ -92,11 +92,12 @@ def complete(
     if transmitted is not None:
         sides.append(_checked(transmitted, "transmission"))
         _check_same_grid(smoothed, transmitted)
-    symmetric = bases.from_json(smoothed.attrs["basis"]).symmetric
+    isotropic = is_isotropic(smoothed)
     attrs = {name: smoothed.attrs[name] for name in ("link", "about", "basis")} | {
         "representation": REPRESENTATION,
-        "reciprocity": "averaged" if reciprocity and symmetric else "none",
+        "reciprocity": "averaged" if reciprocity and isotropic else "none",
         "transmission": "none" if transmitted is None else "slab",
+        "isotropic": "true" if isotropic else "false",
     }
     if transmitted is not None:
         attrs["transmitted_basis"] = transmitted.attrs["basis"]
@@ -111,10 +112,16 @@ def complete(
             break
     bsdf = vocabulary.add_warning(bsdf, *(text for side in sides for text in vocabulary.warnings(side)))
     bsdf = _with_history(bsdf, sides, nodes, normal)
-    bsdf = with_contradictions(bsdf) if symmetric else vocabulary.add_warning(bsdf, _LAY_WARNING)
+    bsdf = with_contradictions(bsdf) if isotropic else vocabulary.add_warning(bsdf, _LAY_WARNING)
     if bsdf.attrs["reciprocity"] == "averaged":
         bsdf = _with_incidence_error(bsdf)
     return vocabulary.validate(bsdf, "bsdf")
+
+
+def is_isotropic(dataset: xr.Dataset) -> bool:
+    """Whether smoothed data, or a BSDF completed from them, are of a surface that may be rotated in its plane."""
+    stated = dataset.attrs.get("isotropic")
+    return bases.from_json(dataset.attrs["basis"]).symmetric if stated is None else stated == "true"
 
 
 # --- checks of the input
@@ -186,10 +193,11 @@ def _nodes(smoothed: xr.Dataset, normal: str) -> _Nodes:
         )
         _combine(nodes, (node, wavelength), sources, np.where(basis.harmonic % 2 == 0, even, odd))
     if nodes.incidence[0] > 0:
-        return _with_normal(nodes, basis, normal)
+        return _with_normal(nodes, basis, normal, is_isotropic(smoothed))
     radius = _hidden_radius(smoothed)
     if radius > _HIDDEN_RADIUS and nodes.incidence.size > 1:
-        _fill_hidden_region(nodes, basis, normal, radius, logarithmic=smoothed.attrs["link"] == "log")
+        others = _with_normal(_Nodes._make(part[1:] for part in nodes), basis, normal, is_isotropic(smoothed))
+        _fill_hidden_region(nodes, others, basis, radius, logarithmic=smoothed.attrs["link"] == "log")
     return nodes
 
 
@@ -216,7 +224,7 @@ def _limits(smoothed: xr.Dataset, used: NDArray[np.bool_]) -> tuple[Array, Array
     return lowest, highest, horizon
 
 
-def _with_normal(nodes: _Nodes, basis: Basis, normal: str) -> _Nodes:
+def _with_normal(nodes: _Nodes, basis: Basis, normal: str, isotropic: bool) -> _Nodes:
     """The nodes with normal incidence first, extrapolated from the first two, or copied from the only one."""
     extended = _Nodes._make(np.concatenate([part[:1], part]) for part in nodes)
     extended.incidence[0], extended.quality[0], extended.cells[0] = 0.0, vocabulary.quality("completed"), False
@@ -224,7 +232,7 @@ def _with_normal(nodes: _Nodes, basis: Basis, normal: str) -> _Nodes:
     power = extended.incidence[sources] ** (2 if normal == "even-quadratic" else 1)
     weight = np.ones(1) if sources.size == 1 else np.array([power[1], -power[0]]) / (power[1] - power[0])
     # With a lay, terms that are even under a rotation by 180 degree remain.
-    remaining = basis.harmonic == 0 if basis.symmetric else basis.harmonic % 2 == 0
+    remaining = basis.harmonic == 0 if isotropic else basis.harmonic % 2 == 0
     for wavelength in range(extended.coefficient.shape[1]):
         _combine(extended, (0, wavelength), sources, weight[:, None] * remaining)
     return extended
@@ -259,13 +267,12 @@ def _violates_energy(bsdf: xr.Dataset) -> bool:
     return bool((rule.weight @ (one + other) / 2 > 1).any())
 
 
-def _fill_hidden_region(nodes: _Nodes, basis: Basis, normal: str, radius: float, *, logarithmic: bool) -> None:
-    """Fill the mirror direction, which the entrance hides at normal incidence, from the next two incidences.
+def _fill_hidden_region(nodes: _Nodes, others: _Nodes, basis: Basis, radius: float, *, logarithmic: bool) -> None:
+    """Fill the mirror direction, which the entrance hides at normal incidence, from ``others`` extrapolated from the next two incidences.
 
     Their extrapolation counts as measured at a few angles within the hidden region, with its covariance and a tolerance: one step of a
     square-root Kalman filter.
     """
-    others = _with_normal(_Nodes._make(part[1:] for part in nodes), basis, normal)
     theta = np.linspace(0.0, 0.8 * radius, _FILLED_ANGLES)
     rows = basis.rows(theta, np.zeros_like(theta), np.cos(np.radians(theta)))
     for wavelength in range(nodes.coefficient.shape[1]):

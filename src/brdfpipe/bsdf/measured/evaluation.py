@@ -97,7 +97,33 @@ class Prepared:
 
     def uncertainty(self, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array) -> Array:
         """See :func:`uncertainty`."""
-        return _over_sides(_uncertainties, self, (theta_i, phi_i, theta_o, phi_o))
+        angles = theta_i, phi_i, theta_o, phi_o
+        return np.hypot(_over_sides(_uncertainties, self, angles), self._spectral_error(angles))
+
+    def _spectral_error(self, angles: tuple[Array, Array, Array, Array]) -> Array | float:
+        """Error of the linear interpolation between wavelengths (directions…, wavelength); 0 at those of the dataset.
+
+        The remainder of linear interpolation, |f″|/2 (λ − λ₁)(λ₂ − λ), with the larger of the second differences at both ends. Between only
+        two wavelengths the slope stands for it: the BSDF may change anywhere between them.
+        """
+        own = None if "mixture" in self.bsdf or self.wavelength is None else self.bsdf["wavelength"].values
+        if own is None or own.size == 1:
+            return 0.0
+        requested = np.asarray(self.wavelength, dtype=float)
+        after = np.clip(np.searchsorted(own, requested), 1, own.size - 1)
+        remainder = np.abs((requested - own[after - 1]) * (own[after] - requested))
+        if not remainder.any():
+            return 0.0
+        needed = np.unique(np.clip(after[:, None] + np.arange(-2, 2), 0, own.size - 1))
+        values = Prepared(self.bsdf, own[needed]).evaluate(*angles)
+        slope = np.diff(values, axis=-1) / np.diff(own[needed])
+        interval = np.searchsorted(needed, after) - 1
+        if needed.size == 2:
+            return np.asarray(remainder * np.abs(slope[..., interval]) / (own[needed[1]] - own[needed[0]]))
+        # Divided differences of three wavelengths, (first, middle, last) with the middle one at each end of the interval.
+        bends = np.abs(np.diff(slope, axis=-1)) / (own[needed[2:]] - own[needed[:-2]])
+        ends = (np.clip(interval + step, 0, bends.shape[-1] - 1) for step in (-1, 0))
+        return np.asarray(remainder * np.maximum(*(bends[..., end] for end in ends)))
 
 
 def evaluate(
@@ -115,7 +141,8 @@ def uncertainty(
     Noise, smoothing and common errors follow from the covariance of the coefficients. The error of interpolation between incidences, and
     of completion beyond the last, is the next term of Newton's formula; where the BSDF is constant, the continued trend is added. Below the
     horizon the error is the change that the continued fit would make. An error s of the logarithm counts as exp s − 1. Where the two
-    directions of light give different values, their weighted disagreement is added.
+    directions of light give different values, their weighted disagreement is added. Between wavelengths the remainder of linear interpolation
+    is added.
     """
     return Prepared(bsdf, wavelength).uncertainty(theta_i, phi_i, theta_o, phi_o)
 

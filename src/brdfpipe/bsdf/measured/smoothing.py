@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from brdfpipe import vocabulary
 from brdfpipe.bsdf.measured import basis as bases
+from brdfpipe.bsdf.measured.agreement import symmetry_warnings
 from brdfpipe.bsdf.measured.basis import Basis, Keldysh, PSpline
 from brdfpipe.bsdf.measured.coordinates import ABOUT, cell_angles
 from brdfpipe.bsdf.measured.least_squares import Decomposition, StandardForm
@@ -84,7 +85,8 @@ def smooth(
     mode: str = "pspline",
     *,
     strength: float | None = None,
-    symmetric: bool = True,
+    mirror_symmetric: bool = True,
+    isotropic: bool = True,
     about: str | None = None,
     scales: int | None = None,
 ) -> xr.Dataset:
@@ -95,7 +97,9 @@ def smooth(
     primary : kind ``primary``; values that are missing, below the horizon, or of another quality than measured or below noise are left out
     mode : ``pspline``, ``keldysh`` or ``keldysh-printed``
     strength : ε > 0; by default that of least generalised cross-validation, summed over the wavelengths of an incidence
-    symmetric : whether the BSDF is even about the plane of incidence
+    mirror_symmetric : whether the BSDF is even about the plane of incidence; a warning names incidences that contradict it
+    isotropic : whether the sample may be rotated in its plane: at normal incidence there is no dependence on φ then, and the completion averages
+        the two directions of light; a warning says where the values at normal incidence contradict it
     about : coordinates of the mode ``pspline``, see :mod:`brdfpipe.bsdf.measured.coordinates`; by default, for reflection, those that predict the
         cells better. The modes of the preprint, and transmission, use ``mirror``
     scales : of the mode ``keldysh``; by default as many as lead to supports of 3°. A warning says where the cells do not determine so many
@@ -108,7 +112,7 @@ def smooth(
 
     Raises
     ------
-    VocabularyError : no dataset of kind ``primary``, a value without an uncertainty above 0, an unknown mode, or no value at all.
+    VocabularyError : no dataset of kind ``primary``, an isotropic surface without mirror symmetry, a value without an uncertainty above 0, an unknown mode, or no value at all.
 
     References
     ----------
@@ -116,19 +120,24 @@ def smooth(
     """
     vocabulary.validate(primary, "primary")
     _check_options(mode, about, strength, scales)
+    if isotropic and not mirror_symmetric:
+        raise VocabularyError(
+            "an isotropic surface is symmetric about every plane of incidence; give `isotropic=False`"
+        )
     side = str(primary.attrs.get("side", "reflection"))
     cells = _cell_values(primary)
-    basis = _basis(mode, primary, symmetric, scales)
+    basis = _basis(mode, primary, mirror_symmetric, scales)
     if mode != "pspline" or side != "reflection":
         about = "mirror"
     elif about is None:
-        about = _better_coordinates(primary, cells, basis)
-    forms = [_standard_form(primary, basis, about, at) for at in range(len(cells))]
+        about = _better_coordinates(primary, cells, basis, isotropic)
+    forms = [_standard_form(primary, basis, about, at, isotropic) for at in range(len(cells))]
     preprint_weights = np.sqrt(_ring_weights(primary["theta_s"].values)) if mode == "keldysh-printed" else None
     fits = [_fit(form, values, mode, strength, preprint_weights) for form, values in zip(forms, cells, strict=True)]
     link = "log" if mode == "pspline" else "identity"
     attrs = {name: primary.attrs[name] for name in ("history", "warnings") if name in primary.attrs}
     attrs |= {"mode": mode, "link": link, "about": about, "basis": bases.to_json(basis), "side": side}
+    attrs |= {"isotropic": "true" if isotropic else "false"}
     smoothed = _with_notes(_dataset(primary, fits).assign_attrs(attrs), fits, strength)
     if mode == "keldysh":
         smoothed = vocabulary.add_warning(smoothed, *_undetermined(primary["incidence"].values, forms, cells))
@@ -235,8 +244,8 @@ def _basis(mode: str, primary: xr.Dataset, symmetric: bool, scales: int | None) 
     return Keldysh(domain, scales or int(np.log2(domain / _FINEST_SUPPORT)) + 1, _ORDERS, symmetric=symmetric)
 
 
-def _standard_form(primary: xr.Dataset, basis: Basis, about: str, at: int) -> StandardForm:
-    """The basis at the cells of an incidence; without φ at normal incidence if symmetric."""
+def _standard_form(primary: xr.Dataset, basis: Basis, about: str, at: int, isotropic: bool) -> StandardForm:
+    """The basis at the cells of an incidence; without φ at normal incidence if isotropic."""
     incidence, theta, phi = float(primary["incidence"][at]), primary["theta_s"].values, primary["phi_s"].values
     angles = cell_angles(about, incidence, theta, phi)
     rows, roughness = basis.rows(*angles, cos_view(incidence, theta, phi)), basis.roughness(*angles)
@@ -244,7 +253,7 @@ def _standard_form(primary: xr.Dataset, basis: Basis, about: str, at: int) -> St
     if printed:
         weight = np.sqrt(_ring_weights(theta) / bases.solid_angles(theta, phi))
         roughness = roughness * np.concatenate([weight, weight])[:, None]
-    terms = (basis.harmonic == 0) | (incidence > 0) | printed | (not basis.symmetric)
+    terms = (basis.harmonic == 0) | (incidence > 0) | printed | (not isotropic)
     form = StandardForm.of(rows[:, terms], roughness[:, terms])
     to_basis = np.zeros((terms.size, form.to_basis.shape[1]))
     to_basis[terms] = form.to_basis
@@ -258,7 +267,7 @@ def _ring_weights(theta: Array) -> Array:
     return np.maximum(np.sin(np.radians(theta)), 1e-3) * np.interp(theta, rings, np.radians(width))
 
 
-def _better_coordinates(primary: xr.Dataset, cells: list[_CellValues], basis: Basis) -> str:
+def _better_coordinates(primary: xr.Dataset, cells: list[_CellValues], basis: Basis, isotropic: bool) -> str:
     """The coordinates of less cross-validation, on a few wavelengths of all incidences."""
     few = np.unique(np.linspace(0, primary.sizes["wavelength"] - 1, _COMPARED_WAVELENGTHS).round().astype(int))
     score = dict.fromkeys(ABOUT, 0.0)
@@ -268,7 +277,7 @@ def _better_coordinates(primary: xr.Dataset, cells: list[_CellValues], basis: Ba
             continue
         for about in ABOUT:
             mean = np.maximum(value, _finite(u, 1.0))
-            form = _standard_form(primary, basis, about, at)
+            form = _standard_form(primary, basis, about, at, isotropic)
             problems = Decomposition.of(form, mean / u, _working_response(value, mean))
             score[about] += float(_summed_cross_validation(problems, _STRENGTHS).min())
     return min(ABOUT, key=lambda about: score[about])
@@ -489,4 +498,5 @@ def _with_notes(smoothed: xr.Dataset, fits: list[_Fit], strength: float | None) 
                 f"Poor fit at {incidence:g}°: the rms residual is {np.sqrt(worst):.1f} times the stated uncertainty, and the fit's uncertainty was enlarged. "
                 "Check the map of residuals for wrong cells, or for a lobe narrower than the cells resolve."
             )
+    warnings += symmetry_warnings(smoothed)
     return vocabulary.add_warning(vocabulary.add_history(smoothed, history), *warnings)

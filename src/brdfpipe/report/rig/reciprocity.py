@@ -8,8 +8,8 @@ import numpy as np
 import xarray as xr
 from markupsafe import Markup
 
-from brdfpipe.bsdf.measured import basis as bases
 from brdfpipe.bsdf.measured.agreement import pair_differences, uncertainty_enlargement
+from brdfpipe.bsdf.measured.completion import is_isotropic
 from brdfpipe.bsdf.measured.reciprocity import reciprocity
 from brdfpipe.report.formatting import number
 from brdfpipe.report.plots.svg import Array, Axis, Figure, Line, Mark, Points, chart, legend, nice_range
@@ -70,8 +70,8 @@ def figure(bsdf: xr.Dataset, smoothed: xr.Dataset) -> Figure:
     if averaged:
         svg += _chart("averaged BSDF over each direction", "averaged / measured − 1, %", shown, after, low_high)
     key = legend([*before, *(after if averaged else [])])
-    symmetric = bases.from_json(bsdf.attrs["basis"]).symmetric
-    note = _note(differences, score, shown.sizes["pair"], averaged=averaged, symmetric=symmetric)
+    isotropic = is_isotropic(bsdf)
+    note = _note(differences, score, shown.sizes["pair"], averaged=averaged, isotropic=isotropic)
     return Figure(TITLE, svg, key, note + _enlargement_note(enlarged))
 
 
@@ -113,7 +113,7 @@ def _chart(words: str, label: str, pairs: xr.Dataset, marks: list[Mark], low_hig
     )
 
 
-def _note(differences: xr.Dataset, pair_score: Array, shown: int, *, averaged: bool, symmetric: bool) -> str:
+def _note(differences: xr.Dataset, pair_score: Array, shown: int, *, averaged: bool, isotropic: bool) -> str:
     rms, pairs = number(float(np.sqrt((differences["score"] ** 2).mean())), 2), differences.sizes["pair"]
     count = f"The {shown} of {pairs} pairs that differ most. " if shown < pairs else ""
     note = (
@@ -121,7 +121,7 @@ def _note(differences: xr.Dataset, pair_score: Array, shown: int, *, averaged: b
         f"±\u202f1 standard uncertainty. They include errors common to both directions, which cancel in the difference. Before: the difference over "
         f"its uncertainty has an rms of {rms}; up to about 1 the two agree. "
     )
-    if not symmetric:
+    if not isotropic:
         return f"{note}For a surface with a lay they need not be equal. The BSDF keeps each direction as measured; there is no average."
     note += (
         "After: change of each to the averaged BSDF, larger for the less certain one. "
@@ -134,5 +134,5 @@ def _note(differences: xr.Dataset, pair_score: Array, shown: int, *, averaged: b
     return (
         f"{note}Different by more than {SIGNIFICANT:g} standard uncertainties: {', '.join(significant)}. If one incidence is in all of "
         "them, scan it again, with the angular target first (`runs` in plan.yaml). If all pairs differ, calibrate again. Or the sample "
-        "has a lay (`rig.smoothing.symmetric: false` in material.yaml), or is not uniform over the illuminated areas."
+        "has a lay (`rig.smoothing.isotropic: false` in material.yaml), or is not uniform over the illuminated areas."
     )

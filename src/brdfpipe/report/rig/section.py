@@ -258,7 +258,7 @@ def _advice(few: Sequence[str], asymmetric: Sequence[str]) -> Iterator[str]:
         yield (
             "The fit assumes symmetry about the plane of incidence, but cells on the two sides differ. Mean difference in standard "
             f"uncertainties: {', '.join(asymmetric)}. Either the mirror direction is not where the angular target places it: measure the target "
-            "in this run too (`target` first in `runs` of plan.yaml). Or the sample has a lay: set `rig.smoothing.symmetric: false` "
+            "in this run too (`target` first in `runs` of plan.yaml). Or the sample has a lay: set `rig.smoothing.isotropic: false` and `mirror_symmetric: false` "
             "in material.yaml."
         )
 
