@@ -965,3 +965,13 @@ def test_files_of_a_coat_are_checked_and_named_by_their_keys(tmp_path: Path) -> 
     kept = dataclasses.replace(loaded["m"], files={"base_surface": folder / "b.txt"})
     with pytest.raises(InputError, match=r"set `coat\.base\.surface"):
         describe_files(loaded, kept)
+
+
+@pytest.mark.parametrize(("former", "instead"), [("true", "`isotropic: true`"), ("false", "`isotropic: false`")])
+def test_the_former_key_of_symmetry_is_refused_with_what_to_write_instead(
+    tmp_path: Path, former: str, instead: str
+) -> None:
+    smoothing = f"smoothing: {{symmetric: {former}}}"
+    folder = write(tmp_path, "m", f"rig: {{run: run, calibration: bench, {smoothing}}}\n")
+    with pytest.raises(InputError, match=rf"rig\.smoothing\.symmetric: `symmetric` was split.*{instead}"):
+        catalogue.load_material(folder, catalogue.load_config())

@@ -50,7 +50,8 @@ def azimuthal_residual(smoothed: xr.Dataset) -> float:
 
 def symmetry_warnings(smoothed: xr.Dataset) -> list[str]:
     """Warnings where the residuals contradict the mirror symmetry or the isotropy that the fit assumes, by incidence."""
-    one_sided, azimuthal = [], []
+    one_sided: list[str] = []
+    azimuthal: list[str] = []
     for incidence in smoothed["incidence"].values:
         own = smoothed.sel(incidence=incidence)
         fits = [own.sel(wavelength=wavelength) for wavelength in own["wavelength"].values]

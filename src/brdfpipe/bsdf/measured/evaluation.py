@@ -122,8 +122,8 @@ class Prepared:
             return np.asarray(remainder * np.abs(slope[..., interval]) / (own[needed[1]] - own[needed[0]]))
         # Divided differences of three wavelengths, (first, middle, last) with the middle one at each end of the interval.
         bends = np.abs(np.diff(slope, axis=-1)) / (own[needed[2:]] - own[needed[:-2]])
-        ends = (np.clip(interval + step, 0, bends.shape[-1] - 1) for step in (-1, 0))
-        return np.asarray(remainder * np.maximum(*(bends[..., end] for end in ends)))
+        before, behind = (bends[..., np.clip(interval + step, 0, bends.shape[-1] - 1)] for step in (-1, 0))
+        return np.asarray(remainder * np.maximum(before, behind))
 
 
 def evaluate(
