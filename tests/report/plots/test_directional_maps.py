@@ -14,6 +14,7 @@ from samples import beckmann_bsdf, spectrum
 
 from brdfpipe.bsdf import microfacet
 from brdfpipe.bsdf.lambert_gauss import lambertian
+from brdfpipe.bsdf.registry import representation
 from brdfpipe.facets import analytic, flat
 from brdfpipe.report.plots import bsdf_sections, directional_maps
 from brdfpipe.report.plots.svg import Figure
@@ -102,3 +103,11 @@ def test_maps_and_cuts_agree_in_the_plane_of_incidence() -> None:
     theta, cut = bsdf_sections.cut(bsdf, plane, 45.0)
     mapped = bsdf_sections.value(bsdf, plane, 45.0, np.abs(theta), np.where(theta < 0, 180.0, 0.0))
     np.testing.assert_array_equal(cut, mapped)
+
+
+def test_half_of_a_map_gives_the_values_of_all_its_pixels() -> None:
+    bsdf = samples.beckmann_bsdf(0.1, n=1.5)
+    assert representation(bsdf).mirror_symmetric
+    plane, pixels = bsdf_sections.planes(bsdf)[0], directional_maps._HemispherePixels(45.0)
+    all_pixels = bsdf_sections.value(bsdf, plane, 45.0, pixels.theta, pixels.turn)
+    np.testing.assert_allclose(pixels.values(bsdf, plane, 45.0), all_pixels, rtol=1e-9)

@@ -50,8 +50,21 @@ class _HemispherePixels:
         self.inside: NDArray[np.bool_] = radius < 1
         self.theta = np.degrees(np.arcsin(radius[self.inside]))
         self.turn = np.degrees(np.arctan2(y[self.inside], x[self.inside]))
+        self._upper: NDArray[np.bool_] = self.inside & (y >= 0)
         self.margin = step * (count + 0.5)
         """Direction cosine at the edges of the picture."""
+
+    def values(self, bsdf: xr.Dataset, plane: Plane, incidence: float, *, through: bool = False) -> Array:
+        """BRDF, or with ``through`` BTDF, of the pixels [sr-1]; half of them are evaluated where the halves of the disc are equal."""
+        symmetric = representation(bsdf).isotropic and representation(bsdf).mirror_symmetric
+        evaluated = self._upper[self.inside] if symmetric else np.ones(self.theta.size, dtype=bool)
+        theta, turn = self.theta[evaluated], self.turn[evaluated]
+        values = bsdf_sections.value(bsdf, plane, incidence, 180 - theta if through else theta, turn)
+        if not symmetric:
+            return values
+        grid = np.full(self.inside.shape, np.nan)
+        grid[self._upper] = values
+        return np.where(self._upper, grid, grid[::-1])[self.inside]
 
     def figure(
         self,
@@ -92,7 +105,7 @@ def _map(bsdf: xr.Dataset, plane: Plane, through: bool) -> Figure | None:
     peak = float(bsdf_sections.smooth_angles(bsdf, MAP_INCIDENCE)[0]) if through else MAP_INCIDENCE
     pixels = _HemispherePixels(peak)
     polar = 180 - pixels.theta if through else pixels.theta
-    values = bsdf_sections.value(bsdf, plane, MAP_INCIDENCE, polar, pixels.turn)
+    values = pixels.values(bsdf, plane, MAP_INCIDENCE, through=through)
     positive = values[np.isfinite(values) & (values > 0)]
     if positive.size == 0:
         return None
@@ -169,9 +182,7 @@ def polarisation(bsdf: xr.Dataset) -> Figure | None:
         note = f"Of unpolarised light, {_percent(mirror)} of the mirrored ray is polarised.{base}"
         return Figure(title, note=note)
     pixels = _HemispherePixels(POLARISED_INCIDENCE)
-    total, from_facets = (
-        bsdf_sections.value(part, plane, POLARISED_INCIDENCE, pixels.theta, pixels.turn) for part in (bsdf, facets)
-    )
+    total, from_facets = (pixels.values(part, plane, POLARISED_INCIDENCE) for part in (bsdf, facets))
     if not total.max() > 0 or not from_facets.max() > 0:
         return None
     lit = total > total.max() * 10.0**-_DECADES_SHOWN
