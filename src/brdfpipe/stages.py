@@ -492,6 +492,7 @@ def _page_parameters(subject: Subject, wildcards: Wildcards) -> dict[str, Any]:
         _row_parameters(subject, wildcards)
         | {"exports": sorted(subject.exports)}
         | ({"unused": unused} if unused else {})
+        | ({"origins": [list(row) for row in rows]} if (rows := subject.owner.origins) else {})  # type: ignore[union-attr]
     )
 
 

@@ -559,6 +559,8 @@ def test_each_stage_has_its_part_of_the_description_as_parameters(tmp_path: Path
     parameters = {
         stage: loaded.spec("m", stage) for stage in ("surface", "facets", "index", "spectrum", "predicted", "report")
     }
+    origins = {key: origin for key, _, origin in parameters["report"].pop("origins")}
+    assert (origins["index"], origins["surface.form"]) == ("material.yaml", "the default")
     assert parameters == {
         "surface": {"file": "a.txt", "unit": "um", "form": "plane"},
         "facets": {"isotropic": True},

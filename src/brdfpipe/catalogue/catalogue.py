@@ -17,8 +17,17 @@ from typing import Any
 from brdfpipe import documents
 from brdfpipe.catalogue.calibration import Calibration, load_calibrations
 from brdfpipe.catalogue.configuration import load_config
+from brdfpipe.catalogue.defaults import Defaults, load_defaults
 from brdfpipe.catalogue.material import Material, load_material
-from brdfpipe.catalogue.names import CALIBRATION, CALIBRATIONS, DESCRIPTION, RESERVED, RESULT_MARKS, CatalogueError
+from brdfpipe.catalogue.names import (
+    CALIBRATION,
+    CALIBRATIONS,
+    DEFAULTS,
+    DESCRIPTION,
+    RESERVED,
+    RESULT_MARKS,
+    CatalogueError,
+)
 from brdfpipe.descriptions.keys import NAME
 from brdfpipe.errors import BrdfpipeError, InputError, printable
 from brdfpipe.scenes.scene import Scene, different, load_scene
@@ -39,6 +48,8 @@ class Catalogue:
     calibrations: Mapping[str, Calibration] = field(default_factory=dict)
     further_problems: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     """Name of a material that cannot be built → what is wrong with its description beside the first problem, a line each."""
+    defaults: Defaults = field(default_factory=lambda: Defaults(Path(DEFAULTS)))
+    """What its materials inherit."""
 
     @cached_property
     def by_name(self) -> Mapping[str, Material]:
@@ -51,6 +62,14 @@ class Catalogue:
             raise CatalogueError(
                 f"{self.folder.name}: no material {name!r}{documents.nearest(name, self.by_name)}"
             ) from None
+
+    @property
+    def unused_defaults(self) -> list[str]:
+        """Keys of ``catalogue.yaml`` that no material inherits."""
+        # Of both halves of a pair of spectra a key stands in `spectrum` once.
+        used = {re.sub(r"^spectrum\.sc[ie]\.", "spectrum.", key) for item in self.materials for key in item.inherited}
+        used |= {"scene"} if any("scene" not in item.content for item in self.materials) else set()
+        return [key for key in self.defaults.keys if not any(key == one or key.startswith(f"{one}.") for one in used)]
 
     @cached_property
     def scenes(self) -> tuple[Scene, ...]:
@@ -99,10 +118,9 @@ def load(folder: Path, config: Mapping[str, Any] | None = None, scene: str | Non
     Raises
     ------
     CatalogueError : the folder is missing or holds no material.
-    SceneError, InputError : the scene of the catalogue cannot be used.
+    SceneError, InputError : the scene of the catalogue, or its ``catalogue.yaml``, cannot be used.
     """
     config = load_config() if config is None else config
-    of_catalogue = load_scene(scene or config["scene"])
     folder = documents.resolved(Path(folder)) or Path(folder)
     if not folder.is_dir():
         raise CatalogueError(f"{printable(str(folder))}: no such folder")
@@ -110,12 +128,14 @@ def load(folder: Path, config: Mapping[str, Any] | None = None, scene: str | Non
         raise CatalogueError(f"{printable(str(folder))}: {problem}; rename or move the catalogue")
     if (folder / DESCRIPTION).is_file():
         raise CatalogueError(f"{folder}: is a material, not a catalogue; give the folder above it")
+    defaults = load_defaults(folder)
+    of_catalogue = load_scene(scene or defaults.content.get("scene", config["scene"]))
     folders, unreadable = _folders_of_materials(folder)
     if not folders and not unreadable:
         hints = "".join(f"; {name}: {reason}" for name, reason in [*ignored(folder).items()][:3])
         raise CatalogueError(f"{folder}: holds no material; `brdfpipe new NAME --folder {folder}` starts one{hints}")
     given = of_catalogue if scene else None
-    outcomes = {printable(path.name): _load_or_refusal(path, config, given) for path in folders}
+    outcomes = {printable(path.name): _load_or_refusal(path, config, given, defaults) for path in folders}
     loaded = {name: item if isinstance(item, Material) else str(item) for name, item in outcomes.items()} | unreadable
     further = {name: item.others for name, item in outcomes.items() if isinstance(item, InputError) and item.others}
     duplicates = _duplicate_names(loaded)
@@ -128,7 +148,7 @@ def load(folder: Path, config: Mapping[str, Any] | None = None, scene: str | Non
         del materials[name]
     usable = {name: item for name, item in calibrations.items() if isinstance(item, Calibration)}
     in_order = tuple(materials[name] for name in sorted(materials))
-    return Catalogue(folder, in_order, failures, config, of_catalogue, usable, further)
+    return Catalogue(folder, in_order, failures, config, of_catalogue, usable, further, defaults)
 
 
 def _folders_of_materials(folder: Path) -> tuple[list[Path], dict[str, str]]:
@@ -146,9 +166,11 @@ def _folders_of_materials(folder: Path) -> tuple[list[Path], dict[str, str]]:
     return found, unreadable
 
 
-def _load_or_refusal(folder: Path, config: Mapping[str, Any], scene: Scene | None) -> Material | BrdfpipeError:
+def _load_or_refusal(
+    folder: Path, config: Mapping[str, Any], scene: Scene | None, defaults: Defaults
+) -> Material | BrdfpipeError:
     try:
-        return load_material(folder, config, scene)
+        return load_material(folder, config, scene, defaults)
     except BrdfpipeError as error:
         return error
     except OSError as error:

@@ -13,6 +13,7 @@ from brdfpipe import installation
 from brdfpipe.appearance.quantities import docs_table
 from brdfpipe.catalogue import calibration_keys, material_keys
 from brdfpipe.catalogue.config_keys import Config
+from brdfpipe.catalogue.default_keys import CatalogueDefaults
 from brdfpipe.catalogue.reading_keys import MeasuredReadings
 from brdfpipe.descriptions import rendering
 from brdfpipe.file_formats import FileFormat
@@ -30,6 +31,7 @@ from brdfpipe.surfaces.reading import FORMATS as SURFACE_FORMATS
 
 DESCRIPTIONS: Mapping[str, Any] = {
     "material": material_keys.Material,
+    "catalogue": CatalogueDefaults,
     "config": Config,
     "calibration": calibration_keys.Calibration,
     "certificate": CertificateKeys,
@@ -157,6 +159,7 @@ def key_tables() -> dict[str, dict[str, str]]:
             "measured": rendering.table(MeasuredReadings, "measured."),
             "table": rendering.table(keys.TableFile, "table."),
             "model": rendering.table(keys.Model, "model."),
+            "catalogue": rendering.table(CatalogueDefaults),
             "config": rendering.table(Config),
             "formats of surfaces": _surface_format_table(),
             "formats of spectra": _spectrum_format_table(),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -10,7 +10,8 @@ from typing import Any
 from brdfpipe import documents, installation
 from brdfpipe.catalogue import material_keys
 from brdfpipe.catalogue.calibration import run_file
-from brdfpipe.catalogue.names import DESCRIPTION, CatalogueError, check_name
+from brdfpipe.catalogue.defaults import Defaults, origins
+from brdfpipe.catalogue.names import DEFAULTS, DESCRIPTION, CatalogueError, check_name
 from brdfpipe.descriptions import reading
 from brdfpipe.errors import BrdfpipeError, InputError
 from brdfpipe.scenes.scene import Scene, is_file, load_scene
@@ -42,6 +43,10 @@ class Material:
     rig) → raw file."""
     scene: Scene
     """What its results are for."""
+    origins: Sequence[Sequence[str]] = ()
+    """Key, value and origin of all that the description says, inherits or leaves to defaults."""
+    inherited: frozenset[str] = frozenset()
+    """Keys that the catalogue gives."""
 
     def has(self, part: str) -> bool:
         """Whether the description has a part: surface, index, spectrum, multiangle, table, slab, coat, back or base (a face of its own), or what a
@@ -59,14 +64,17 @@ class Material:
         return tuple(self.content["exports"])
 
 
-def load_material(folder: Path, config: Mapping[str, Any], scene: Scene | None = None) -> Material:
+def load_material(
+    folder: Path, config: Mapping[str, Any], scene: Scene | None = None, defaults: Defaults | None = None
+) -> Material:
     """Read and validate one material.
 
     Parameters
     ----------
     folder : of its description
     config : see :func:`brdfpipe.catalogue.configuration.load_config`
-    scene : instead of the one that the description or the configuration names
+    scene : instead of the one that the description, the catalogue or the configuration names
+    defaults : what the catalogue gives to its materials; see :func:`brdfpipe.catalogue.defaults.load_defaults`
 
     Raises
     ------
@@ -74,17 +82,29 @@ def load_material(folder: Path, config: Mapping[str, Any], scene: Scene | None =
     """
     path = folder / DESCRIPTION
     documents.refuse_link_outside(path, "the material's folder")
-    content = reading.read(path, material_keys.Material)
-    name = str(content.get("name", folder.name))
+    defaults = Defaults(path) if defaults is None else defaults
+    found = reading.read_with_lines(path, material_keys.Material, defaults.inherited_by)
+    name = str(found.content.get("name", folder.name))
     check_name(name, path)
-    content = completed(content, config)
+    content = completed(found.content, config)
     files = {
         part: documents.file_beside(path, file, f"{key}.file", "the material's folder")
         for part, key, file in raw_files(content)
     }
     if "rig" in content:
         files["rig"] = documents.file_beside(path, *run_file(content["rig"], "rig."), "the material's folder")
-    return Material(name, folder, content, files, scene or _scene_of(path, content, config))
+    known_scene = scene or _scene_of(path, content, {**config, **defaults.content})
+    inherited = {} if found.inherited is None else found.inherited.values
+    keys = frozenset(".".join(map(str, key)) for key in inherited)
+    stated = [row for row in origins(content, found.written, keys) if row[0] != "scene"]
+    stated.append(["scene", known_scene.name, _origin_of_scene(scene, content, defaults)])
+    return Material(name, folder, content, files, known_scene, stated, keys)
+
+
+def _origin_of_scene(given: Scene | None, content: Mapping[str, Any], defaults: Defaults) -> str:
+    if given is not None:
+        return "the command line"
+    return DESCRIPTION if "scene" in content else DEFAULTS if "scene" in defaults.content else "the configuration"
 
 
 def completed(content: Mapping[str, Any], config: Mapping[str, Any]) -> dict[str, Any]:
@@ -96,7 +116,7 @@ def completed(content: Mapping[str, Any], config: Mapping[str, Any]) -> dict[str
 
 
 def _scene_of(path: Path, content: Mapping[str, Any], config: Mapping[str, Any]) -> Scene:
-    """The scene that a description names, or that of the configuration."""
+    """The scene that a description names, or that of the catalogue or the configuration."""
     if "scene" not in content:
         return load_scene(config["scene"])
     if is_file(content["scene"]):

@@ -10,6 +10,9 @@ from brdfpipe.errors import BrdfpipeError, InputError
 
 DESCRIPTION = "material.yaml"
 
+DEFAULTS = "catalogue.yaml"
+"""File of a catalogue with what its materials inherit."""
+
 CALIBRATIONS, CALIBRATION = "calibrations", "calibration.yaml"
 """A catalogue describes the calibrations of its rigs in this folder, each in a folder of its own with this description."""
 

@@ -168,6 +168,8 @@ def check(catalogue: Path, config: Path | None, scene: str | None, reads: bool) 
             click.echo(f"  also {further}")
     for name, reason in ignored(loaded.folder).items():
         click.echo(f"{name}: ignored: {reason}")
+    for key in loaded.unused_defaults:
+        click.echo(f"{loaded.defaults.path.name}: `{key}` is not used: no material inherits it")
     for notice in scene_notices(loaded.scenes, loaded.config):
         click.echo(notice)
     click.echo(f"{len(summaries)} ok, {len(problems)} wrong")

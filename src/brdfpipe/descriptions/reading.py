@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 import os
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from datetime import date
 from functools import cache
@@ -27,6 +27,18 @@ from brdfpipe.errors import InputError
 TYPE_WORDS = {float: "a number", int: "an integer", str: "text", bool: "true or false"}
 
 
+KeyPath = tuple[str | int, ...]
+"""Keys from the outermost on."""
+
+
+class Inherited(NamedTuple):
+    """Values that a description has from another file."""
+
+    path: Path
+    values: Mapping[KeyPath, Any]
+    lines: Mapping[KeyPath, int]
+
+
 class Description(NamedTuple):
     """A validated description."""
 
@@ -36,6 +48,7 @@ class Description(NamedTuple):
     written: Any
     """Without defaults, values as in the file."""
     lines: documents.Lines
+    inherited: Inherited | None = None
 
     def refusal(self, where: str, problem: str, found: object = None, accepted: str | None = None) -> InputError:
         """Error about a value that contradicts another one, with the line of its key; ``where``: the key, as ``drift.step``."""
@@ -59,10 +72,16 @@ def read(path: Path, model: Any) -> dict[str, Any]:
     return read_with_lines(path, model).content
 
 
-def read_with_lines(path: Path, model: Any) -> Description:
-    """Read a YAML description as :func:`read`; also return its lines, for checks of values against each other."""
+def read_with_lines(
+    path: Path, model: Any, inherit: Callable[[Mapping[str, Any]], Inherited] | None = None
+) -> Description:
+    """Read a YAML description as :func:`read`; also return its lines, for checks of values against each other.
+
+    ``inherit`` gives the values that a description, as it was written, has from another file; an error about one of them names that file.
+    """
     written, lines = documents.parse(path)
-    return _validated(path, written, lines, model)
+    inherited = inherit(written) if inherit is not None and isinstance(written, Mapping) else None
+    return _validated(path, written, lines, model, inherited)
 
 
 def check(written: Mapping[str, Any], model: Any, name: str) -> dict[str, Any]:
@@ -70,12 +89,28 @@ def check(written: Mapping[str, Any], model: Any, name: str) -> dict[str, Any]:
     return _validated(Path(name), dict(written), {}, model).content
 
 
-def _validated(path: Path, written: Any, lines: documents.Lines, model: Any) -> Description:
+def _validated(
+    path: Path, written: Any, lines: documents.Lines, model: Any, inherited: Inherited | None = None
+) -> Description:
+    given = written if inherited is None else _with_values(written, inherited.values)
     try:
-        validated = _validator(model).validate_python(written)
+        validated = _validator(model).validate_python(given)
     except ValidationError as error:
-        raise _refusal(path, error.errors(include_url=False), _Document(written, lines, model)) from None
-    return Description(path, dict(_plain(validated, written)), written, lines)
+        document = _Document(given, lines, model, inherited)
+        raise _refusal(path, error.errors(include_url=False), document) from None
+    return Description(path, dict(_plain(validated, given)), written, lines, inherited)
+
+
+def _with_values(written: Mapping[str, Any], values: Mapping[KeyPath, Any]) -> dict[str, Any]:
+    """A document with further values; mappings in which they stand are copied."""
+    result = dict(written)
+    for path, value in values.items():
+        holder: Any = result
+        for step in path[:-1]:
+            holder[step] = dict(holder[step])
+            holder = holder[step]
+        holder[path[-1]] = value
+    return result
 
 
 @cache
@@ -223,6 +258,15 @@ class _Document(NamedTuple):
     content: Any
     lines: documents.Lines
     model: Any
+    inherited: Inherited | None = None
+
+    def located(self, path: Path, problem: _Problem) -> tuple[Path, _Problem]:
+        """The file that a problem is in, and the problem with its line there."""
+        steps = tuple(problem.where.split("."))
+        for end in range(len(steps), 0, -1):
+            if self.inherited is not None and steps[:end] in self.inherited.lines:
+                return self.inherited.path, problem._replace(line=self.inherited.lines[steps[:end]])
+        return path, problem
 
     def line(self, path: tuple[str | int, ...]) -> int:
         """Line of a key, or of the nearest mapping around it."""
@@ -261,9 +305,9 @@ def _refusal(path: Path, errors: Sequence[ErrorDetails], document: _Document) ->
     # A misspelled key is also a missing one; the misspelling explains both.
     ordered = sorted(errors, key=lambda error: error["type"] != "extra_forbidden")
     problems = sorted((_problem(error, document) for error in ordered), key=lambda problem: problem.line)
-    first, *others = problems
+    (file, first), *others = (document.located(path, problem) for problem in problems)
     more = f" (and {len(others)} more problem{'s' if len(others) > 1 else ''})" if others else ""
-    return first.refusal(path, more, others=tuple(str(problem.refusal(path)) for problem in others))
+    return first.refusal(file, more, others=tuple(str(problem.refusal(other)) for other, problem in others))
 
 
 def _problem(error: ErrorDetails, document: _Document) -> _Problem:

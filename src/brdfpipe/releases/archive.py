@@ -13,7 +13,7 @@ from brdfpipe import installation, store
 from brdfpipe.catalogue.calibration import run_file
 from brdfpipe.catalogue.catalogue import Catalogue
 from brdfpipe.catalogue.material import raw_files
-from brdfpipe.catalogue.names import CALIBRATION, CALIBRATIONS, DESCRIPTION
+from brdfpipe.catalogue.names import CALIBRATION, CALIBRATIONS, DEFAULTS, DESCRIPTION
 from brdfpipe.errors import BrdfpipeError, abbreviated, printable
 from brdfpipe.jobs.cleanup import NOTES, STALE
 from brdfpipe.releases.differences import Release
@@ -113,6 +113,8 @@ def _not_built(catalogue: Catalogue, results: Path) -> set[str]:
 
 def _named(catalogue: Catalogue) -> Iterator[Path]:
     """The files that descriptions name, and the descriptions, in relation to the catalogue."""
+    if catalogue.defaults.content:
+        yield Path(DEFAULTS)
     for material in catalogue.materials:
         names = [DESCRIPTION, *(name for _, _, name in raw_files(material.content))]
         names += [run_file(material.content["rig"], "rig.")[0]] if "rig" in material.content else []
@@ -129,6 +131,12 @@ def _files(catalogue: Catalogue, results: Path, config: Path | None) -> Iterator
     for folder, material in folders:
         for path in _regular_files(folder):
             yield f"{INPUTS}/{path.relative_to(catalogue.folder).as_posix()}", path, material
+    if catalogue.defaults.content and not (catalogue.folder / DEFAULTS).is_symlink():
+        yield f"{INPUTS}/{DEFAULTS}", catalogue.folder / DEFAULTS, ""
+    if is_file(scene := str(catalogue.defaults.content.get("scene", ""))):
+        if not Path(scene).is_relative_to(catalogue.folder):
+            raise BrdfpipeError(f"{DEFAULTS}: its scene {scene} would be left out; put it into the catalogue")
+        yield f"{INPUTS}/{Path(scene).relative_to(catalogue.folder).as_posix()}", Path(scene), ""
     for one in catalogue.materials:
         if is_file(str(one.content.get("scene", ""))):
             path = (one.folder / one.content["scene"]).resolve()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from types import MappingProxyType
 
 import xarray as xr
@@ -20,7 +20,7 @@ from brdfpipe.appearance.verdicts import (
     verdicts,
 )
 from brdfpipe.report import comparison, rendering, structured_data
-from brdfpipe.report.cards import Section
+from brdfpipe.report.cards import Section, Table
 from brdfpipe.report.formatting import colour
 from brdfpipe.report.material.checks import checks_section, exports_table, provenance
 from brdfpipe.report.material.colour import colour_section
@@ -49,6 +49,7 @@ def material_page(
     exports: Collection[str] = (),
     accepted: Acceptances = (),
     unused: Mapping[str, str] = MappingProxyType({}),
+    origins: Sequence[Sequence[str]] = (),
 ) -> str:
     """The report of one material, one self-contained HTML file.
 
@@ -59,6 +60,7 @@ def material_page(
     exports : names of the formats in :data:`brdfpipe.exchange.registry.FORMATS` in which the material was exported
     accepted : warnings that the description accepts
     unused : keys of the description that nothing uses, and why
+    origins : key, value and origin of all that the description says, inherits or leaves to defaults
 
     Returns
     -------
@@ -89,6 +91,7 @@ def material_page(
         lambert_gauss_section(known),
         checks_section(known),
         Section("Files", tables=[exported] if exported else []),
+        _description_section(origins),
     ]
     prediction = [spectrum_section(known), *inputs] if measured else []
     name = material_name(known)
@@ -126,6 +129,14 @@ def material_page(
         comparison=comparison.chapter(datasets.get("comparison")),
         provenance=[provenance(stage_title(known, stage), dataset) for stage, dataset in known.items()],
     )
+
+
+def _description_section(origins: Sequence[Sequence[str]]) -> Section:
+    """What the description says, and where each value came from."""
+    section = Section("Description")
+    if origins:
+        section.tables.append(Table("Keys of the material", ("Key", "Value", "From"), [tuple(row) for row in origins]))
+    return section
 
 
 def _validity_note(datasets: Mapping[str, xr.Dataset]) -> str:
