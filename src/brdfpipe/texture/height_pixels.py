@@ -1,0 +1,97 @@
+"""Heights of a scan on the pixels of a map, and the slopes of a periodic map."""
+
+from __future__ import annotations
+
+import numpy as np
+import xarray as xr
+
+from brdfpipe import vocabulary
+from brdfpipe.errors import BrdfpipeError
+from brdfpipe.geometry import Array
+
+MOST_MISSING = 0.3
+"""Largest share of missing heights; they are filled from their neighbours."""
+
+LEAST_PIXELS = 32
+"""Least number of pixels that a scan must fill along either side."""
+
+
+def pixel_heights(surface: xr.Dataset, pixel: float) -> tuple[Array, float]:
+    """Mean heights of a scan over square pixels.
+
+    Parameters
+    ----------
+    surface : kind ``surface``, an areal map, levelled
+    pixel : side of a pixel [um], at least the pitch of the scan
+
+    Returns
+    -------
+    Heights (rows, columns) [um] of mean zero, and the share of the heights that were missing and are filled
+
+    Raises
+    ------
+    BrdfpipeError : a line profile, a pixel out of range, or too many missing heights.
+    VocabularyError : the dataset is not of kind ``surface``.
+
+    Notes
+    -----
+    The mean over the area of a pixel, cut pitches included, is the integral of the heights, taken as constant about each of them.
+    """
+    vocabulary.validate(surface, "surface")
+    if surface["height"].ndim != 2:
+        raise BrdfpipeError("a line profile has no grain to map; accepted: an areal map as `surface.file`")
+    height = surface["height"].values.astype(float)
+    pitches = float(surface.attrs["pitch_y"]), float(surface.attrs["pitch_x"])
+    least = max(pitches)
+    most = min(pitch * size for pitch, size in zip(pitches, height.shape, strict=True)) / LEAST_PIXELS
+    # One part in a million for pitches that are not written with all digits.
+    if not least * (1 - 1e-6) <= pixel <= most:
+        raise BrdfpipeError(
+            f"a pixel of {pixel:g} um is out of range; accepted: {least:.4g} um (the pitch of the scan) to {most:.4g} um ({LEAST_PIXELS} pixels "
+            "along its shorter side); set the pixel"
+        )
+    missing = np.isnan(height)
+    share = float(missing.mean())
+    if share > MOST_MISSING:
+        raise BrdfpipeError(
+            f"{share:.0%} of the heights are missing; accepted: at most {MOST_MISSING:.0%}. Choose a better part with `surface.region`"
+        )
+    height = _filled(height, missing) if share else height
+    for axis, pitch in enumerate(pitches):
+        height = _area_means(height, axis, pixel / pitch)
+    return height - height.mean(), share
+
+
+def central_slopes(height: Array, pixel: float) -> tuple[Array, Array]:
+    """Slopes along x and y of a periodic height map (rows, columns) [um], by central differences over two pixels."""
+    return (
+        (np.roll(height, -1, axis=1) - np.roll(height, 1, axis=1)) / (2 * pixel),
+        (np.roll(height, -1, axis=0) - np.roll(height, 1, axis=0)) / (2 * pixel),
+    )
+
+
+def _area_means(height: Array, axis: int, step: float) -> Array:
+    """Means over consecutive intervals of a length in pitches, along an axis."""
+    height = np.moveaxis(height, axis, 0)
+    integral = np.concatenate([np.zeros((1, *height.shape[1:])), np.cumsum(height, axis=0)])
+    edges = np.arange(int(np.floor(height.shape[0] / step + 1e-6)) + 1) * step
+    edges = np.minimum(edges, height.shape[0])
+    below = np.minimum(edges.astype(int), height.shape[0] - 1)
+    share = (edges - below)[:, None]
+    at = integral[below] * (1 - share) + integral[below + 1] * share
+    return np.moveaxis(np.diff(at, axis=0) / step, 0, axis)
+
+
+def _filled(height: Array, missing: Array) -> Array:
+    """Missing heights from the means of their neighbours, wider where there are none."""
+    from scipy.ndimage import gaussian_filter
+
+    result, known = np.where(missing, 0.0, height), ~missing
+    left, width = missing.copy(), 1.0
+    while left.any():
+        weight = gaussian_filter(known.astype(float), width)
+        enough = left & (weight > 0.05)
+        mean = gaussian_filter(np.where(known, height, 0.0), width)
+        result[enough] = mean[enough] / weight[enough]
+        left, width = left & ~enough, 2 * width
+    return result

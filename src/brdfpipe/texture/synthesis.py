@@ -1,0 +1,217 @@
+"""Periodic height maps of any size that look like a small sample, from a seed.
+
+``spectrum`` has the power spectrum and the distribution of heights of the sample, and random phases: for a grain without shapes that repeat.
+``structure`` places pieces of the sample beside one another, each chosen to fit those that are there, and blends their edges: cells and
+ridges stay whole.
+
+References
+----------
+Schreiber & Schmitz 1996 (PRL 77) for the iteration of spectrum and distribution; Galerne et al. 2011 (IEEE TIP 20) for random phases; Efros &
+Freeman 2001 (SIGGRAPH) for the choice of pieces; Heitz & Neyret 2018 (PACM CGIT 1) for blending normally distributed values so that
+their variance stays.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from brdfpipe.errors import BrdfpipeError
+from brdfpipe.geometry import Array
+
+METHODS = ("spectrum", "structure")
+"""How a map is made from a sample; the first is the default."""
+
+LEAST_SIZE, LARGEST_SIZE = 32, 8192
+"""Pixels along either side of a map."""
+
+_ITERATIONS = 20
+_PIECES = 4
+"""Pieces of a map along the shorter side of the sample."""
+_OVERLAP = 0.4
+"""Width over which pieces are blended, over their distance."""
+_CANDIDATES = 300
+_LEAST_MODES = 200
+"""Frequencies whose power is averaged where two spectra are compared."""
+_LEAST_POWER = 1e-4
+"""Of the largest power: less is not compared, since the windows bring as much of it from other frequencies."""
+
+
+class Likeness(NamedTuple):
+    """What remains between a sample and a map."""
+
+    spectrum: float
+    """Largest relative difference of the power spectra, averaged over rings of frequencies, up to half the Nyquist frequency, where the power is 1e-4 of the largest or more."""
+    heights: float
+    """Largest difference of the cumulated distributions of heights (Kolmogorov's), 0 to 1."""
+    slopes: float
+    """The same of the slopes over one pixel, along x or y."""
+
+
+def synthesise(sample: Array, size: int, *, method: str = METHODS[0], seed: int = 0) -> Array:
+    """A periodic map (size, size) that looks like a sample.
+
+    Parameters
+    ----------
+    sample : (rows, columns) heights, none missing, at least 32 pixels along either side
+    size : pixels along either side, 32 to 8192
+    method : one of :data:`METHODS`
+    seed : the same seed gives the same map
+
+    Raises
+    ------
+    BrdfpipeError : the method is unknown, a size is out of range, or the sample is flat.
+    """
+    if method not in METHODS:
+        raise BrdfpipeError(f"unknown method {method!r} of synthesis; accepted: {' or '.join(METHODS)}")
+    if not LEAST_SIZE <= size <= LARGEST_SIZE:
+        raise BrdfpipeError(f"a map of {size} pixels is out of range; accepted: {LEAST_SIZE} to {LARGEST_SIZE}")
+    if min(sample.shape) < LEAST_SIZE:
+        raise BrdfpipeError(
+            f"a sample of {sample.shape[1]} x {sample.shape[0]} pixels is too small; accepted: at least {LEAST_SIZE} along either side"
+        )
+    if not np.ptp(sample) > 0:
+        raise BrdfpipeError("a flat sample has no grain; accepted: heights that vary")
+    rng = np.random.default_rng(seed)
+    return _random_phases(sample, size, rng) if method == "spectrum" else _pieces(sample, size, rng)
+
+
+def likeness(sample: Array, tile: Array) -> Likeness:
+    """What remains between a sample (rows, columns) and a periodic map of the same pixel."""
+    frequency = _frequency(tile.shape).ravel()
+    order = np.argsort(frequency, kind="stable")
+    order = order[(frequency[order] > 1.5 / min(*sample.shape, *tile.shape)) & (frequency[order] <= 0.25)]
+    parts = np.array_split(order, max(1, order.size // _LEAST_MODES))
+    # A periodic map has no edges and needs no window.
+    powers = windowed_power(sample, tile.shape), np.abs(np.fft.fft2(tile)) ** 2 / tile.size
+    rings = np.array([[power.flat[part].mean() for part in parts] for power in powers])
+    rings = rings[:, rings[0] >= _LEAST_POWER * rings[0].max()]
+    slopes = [
+        _kolmogorov(np.diff(sample, axis=axis).ravel(), (np.roll(tile, -1, axis) - tile).ravel()) for axis in (0, 1)
+    ]
+    heights = _kolmogorov(sample.ravel() - sample.mean(), tile.ravel() - tile.mean())
+    return Likeness(float(np.abs(rings[1] / rings[0] - 1).max()), heights, max(slopes))
+
+
+def windowed_power(height: Array, shape: tuple[int, ...]) -> Array:
+    """Mean power of the windowed parts of a map, on the frequencies of ``numpy.fft.fft2`` of a shape, per area of the window.
+
+    The parts overlap by half (Welch 1967); a map that is smaller than the shape is one part, with zeros around it.
+    """
+    sides = [min(n, m) for n, m in zip(height.shape, shape, strict=True)]
+    window = np.outer(*(np.hanning(n + 2)[1:-1] for n in sides))
+    starts = [
+        np.unique(np.linspace(0, n - side, max(1, int(np.ceil(2 * n / side)) - 1)).astype(int))
+        for n, side in zip(height.shape, sides, strict=True)
+    ]
+    power = np.zeros(shape)
+    for row in starts[0]:
+        for column in starts[1]:
+            part = height[row : row + sides[0], column : column + sides[1]]
+            part = part - np.average(part, weights=window)
+            power += np.abs(np.fft.fft2(part * window, s=shape)) ** 2
+    return np.asarray(power / (starts[0].size * starts[1].size * np.sum(window**2)))
+
+
+def _random_phases(sample: Array, size: int, rng: np.random.Generator) -> Array:
+    """Heights of the spectrum of the sample, and nearly of its distribution; the spectrum has the last word."""
+    amplitude = np.sqrt(windowed_power(sample, (size, size)) * size**2)
+    amplitude[0, 0] = 0.0
+    values = _quantiles(sample, size**2)
+    height = rng.permutation(values).reshape(size, size)
+    for _ in range(_ITERATIONS):
+        height = _of_amplitude(height, amplitude)
+        ranked = np.empty(size**2)
+        ranked[np.argsort(height, axis=None, kind="stable")] = values
+        height = ranked.reshape(size, size)
+    return _of_amplitude(height, amplitude)
+
+
+def _quantiles(sample: Array, count: int) -> Array:
+    """Evenly spaced quantiles of the heights about their mean, in ascending order."""
+    values = np.sort(sample, axis=None) - sample.mean()
+    shares = [(np.arange(n) + 0.5) / n for n in (count, values.size)]
+    return np.asarray(np.interp(shares[0], shares[1], values))
+
+
+def _of_amplitude(height: Array, amplitude: Array) -> Array:
+    """Heights of given amplitudes and the phases of other heights."""
+    spectrum = np.fft.rfft2(height)
+    magnitude = np.abs(spectrum)
+    scale = amplitude[:, : spectrum.shape[1]] / np.where(magnitude > 0, magnitude, 1.0)
+    return np.asarray(np.fft.irfft2(spectrum * scale, s=height.shape))
+
+
+def _pieces(sample: Array, size: int, rng: np.random.Generator) -> Array:
+    """Pieces of the sample on a periodic lattice, blended as normally distributed values."""
+    from scipy.special import ndtri
+
+    ranks = np.argsort(np.argsort(sample, axis=None, kind="stable"), kind="stable")
+    normal = ndtri((ranks.reshape(sample.shape) + 0.5) / sample.size)
+    distance = min(sample.shape) / _PIECES
+    count = max(2, round(size / distance))
+    blend = max(2, int(_OVERLAP * size / count))
+    windows = [_window(size, count, k, blend) for k in range(count)]
+    side = max(window.size for _, window in windows)
+    if side >= min(sample.shape):
+        raise BrdfpipeError(
+            f"a map of {size} pixels is made of pieces of {side} pixels, and the sample has {min(sample.shape)}; accepted: a smaller map or a larger sample"
+        )
+    weighted, weights, squares = (np.zeros((size, size)) for _ in range(3))
+    agreement, compared = 0.0, 0.0
+    for rows, row_window in windows:
+        for columns, column_window in windows:
+            at = np.ix_(rows, columns)
+            weight = np.outer(row_window, column_window)
+            piece, error, area = _fitting(normal, weighted[at], weights[at], weight, rng)
+            agreement, compared = agreement + error, compared + area
+            weighted[at] += weight * piece
+            weights[at] += weight
+            squares[at] += weight**2
+    # Two values of correlation ρ: half of the mean square of their difference is 1 − ρ.
+    correlation = min(1.0, max(0.0, 1 - agreement / max(compared, 1e-300) / 2))
+    blended = weighted / np.sqrt((1 - correlation) * squares + correlation * weights**2)
+    values = _quantiles(sample, size**2)
+    height = np.empty(size**2)
+    height[np.argsort(blended, axis=None, kind="stable")] = values
+    return height.reshape(size, size)
+
+
+def _window(size: int, count: int, k: int, blend: int) -> tuple[NDArray[np.int64], Array]:
+    """Indices of a piece along one axis, and its weights; those of all pieces add up to 1."""
+    first, last = round(k * size / count), round((k + 1) * size / count)
+    at = np.arange(first - blend // 2, last + blend - blend // 2)
+    rise = np.sin(np.clip((np.arange(at.size) + 0.5) / blend, 0, 1) * np.pi / 2) ** 2
+    fall = np.cos(np.clip((np.arange(at.size) + 0.5 - (last - first)) / blend, 0, 1) * np.pi / 2) ** 2
+    return (at % size).astype(np.int64), rise * fall
+
+
+def _fitting(
+    normal: Array, weighted: Array, weights: Array, weight: Array, rng: np.random.Generator
+) -> tuple[Array, float, float]:
+    """A piece of a sample that fits the values around it, and its weighted mean square difference from them, times the weight."""
+    rows, columns = weight.shape
+    at = rng.integers(0, (normal.shape[0] - rows + 1, normal.shape[1] - columns + 1), size=(_CANDIDATES, 2))
+    there = weights > 1e-3
+    if not there.any():
+        row, column = at[0]
+        return normal[row : row + rows, column : column + columns], 0.0, 0.0
+    importance = np.minimum(weights, weight)[there]
+    around = weighted[there] / weights[there]
+    inside = np.nonzero(there)
+    errors = [float(importance @ (normal[inside[0] + row, inside[1] + column] - around) ** 2) for row, column in at]
+    row, column = at[int(np.argmin(errors))]
+    return normal[row : row + rows, column : column + columns], min(errors), float(importance.sum())
+
+
+def _frequency(shape: tuple[int, ...]) -> Array:
+    """Frequencies of ``numpy.fft.fft2`` in cycles per pixel."""
+    return np.asarray(np.hypot(np.fft.fftfreq(shape[1]), np.fft.fftfreq(shape[0])[:, None]))
+
+
+def _kolmogorov(a: Array, b: Array) -> float:
+    a, b = np.sort(a), np.sort(b)
+    at = np.concatenate([a, b])
+    return float(np.abs(np.searchsorted(a, at, "right") / a.size - np.searchsorted(b, at, "right") / b.size).max())
