@@ -95,7 +95,7 @@ def test_a_flat_polygon_is_as_the_relief_at_normal_observation():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("make", "pixel"), [(gaussian, 4), (cells, 4), (ridges, 4)])
+@pytest.mark.parametrize(("make", "pixel"), [(gaussian, 4), (cells, 4)])
 def test_mitsuba_renders_the_map_from_afar_as_the_full_brdf(make, pixel, tmp_path):
     """A polygon with the map of normals and a rough conductor of the residual, in a renderer that knows nothing of this package."""
     mitsuba = pytest.importorskip("mitsuba", reason="Mitsuba is not there: make peers")

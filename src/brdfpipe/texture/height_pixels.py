@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
 
 from brdfpipe import vocabulary
 from brdfpipe.errors import BrdfpipeError
@@ -82,7 +83,7 @@ def _area_means(height: Array, axis: int, step: float) -> Array:
     return np.moveaxis(np.diff(at, axis=0) / step, 0, axis)
 
 
-def _filled(height: Array, missing: Array) -> Array:
+def _filled(height: Array, missing: NDArray[np.bool_]) -> Array:
     """Missing heights from the means of their neighbours, wider where there are none."""
     from scipy.ndimage import gaussian_filter
 
