@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 import samples
 from loaded_by_radiance import load
+from spheres_by_radiance import rendered
 
 from brdfpipe import radiance
+from brdfpipe.appearance import preview
+from brdfpipe.appearance.lights import lights
+from brdfpipe.appearance.preview_geometry import sphere
 from brdfpipe.exchange.registry import ExchangeError
 
 
@@ -43,3 +49,18 @@ def test_radiance_loads_the_file(tmp_path):
     total = module.direct_hemi(loaded, 30.0, 0.0, module.SAMPLE_ALL)
     assert total == pytest.approx(float(grey.bsdf.nonspectral().bsdf.albedo(30.0)), rel=0.01)
     assert np.isfinite(total)
+
+
+@pytest.mark.slow
+def test_a_sphere_rendered_by_radiance_is_that_of_the_preview(tmp_path):
+    package = pytest.importorskip("pyradiance", reason="pyradiance is not there")
+    grey, side = samples.beckmann_bsdf(0.3).bsdf.nonspectral(), 32
+    primitive = radiance.material(grey, tmp_path, "grey", format="klems", up=(0, 0, 1))
+    theirs = rendered(Path(package.__file__).parent, primitive, "grey", tmp_path, side)
+    shot, ours = sphere(side), np.zeros((side, side))
+    table = preview.Table.of(grey, *preview.channels_of(grey))
+    ours[shot.coverage > 0] = preview.radiance(table, shot, lights("studio"))[:, 1]
+    inside = (theirs > 0) & (shot.coverage >= 1)
+    # Patches of 5 to 15 degree, and the noise of 512 and 256 samples of a pixel.
+    assert theirs[inside].mean() == pytest.approx(ours[inside].mean(), rel=0.01)
+    assert np.sqrt(np.mean((theirs - ours)[inside] ** 2)) < 0.04 * ours[inside].mean()
