@@ -277,9 +277,10 @@
     $("incidence").value = state.incidence;
     $("incidence-text").textContent = `${state.incidence.toFixed(1)}°`;
     $("wavelength-text").textContent = spectral ? `${state.wavelength} nm` : "";
-    const s = main().s, share = s.specular[around(I, state.incidence) + 1], [median, high] = s.error;
+    const s = main().s, k = clamp(I.findIndex((v) => v >= state.incidence), 1, I.length - 1), f = (state.incidence - I[k - 1]) / (I[k] - I[k - 1]);
+    const share = (1 - f) * s.specular[k - 1] + f * s.specular[k], [median, high] = s.error;
     $("note").textContent = (median === null ? "" : `Between sampled directions: median error ${Number((100 * median).toPrecision(2))} %, 95 % of directions within ${Number((100 * high).toPrecision(2))} %, at ${data.reference ?? "every"} nm. `) +
-      (share > 1e-5 ? `Specular light, about ${(100 * share).toPrecision(2)} % near this incidence, goes into one direction and has no ${quantity()}: it is not drawn. ` : "") +
+      (share > 1e-5 ? `Specular light, about ${(100 * share).toPrecision(2)} %, goes into one direction and has no ${quantity()}: it is not drawn. ` : "") +
       (both ? "Cuts: solid measured, dashed predicted." : "");
     say(main().c, 0);
     draw();
