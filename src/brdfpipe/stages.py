@@ -464,6 +464,20 @@ def _appearance(subject: Subject) -> dict[str, Any]:
     return settings
 
 
+def _part_of_table(subject: Subject) -> dict[str, Any]:
+    """What of the table of the configuration a scene needs, where that is not all: its wavelengths, incidences and side."""
+    if subject.scene is None:
+        return {}
+    domain, bands = subject.scene.domain, subject.scene.content["bands"]
+    nodes, needed = subject.config["table"]["theta_i"], domain.incidences
+    part: dict[str, Any] = {} if isinstance(bands, str) else {"wavelength": bands}
+    if not any(low <= nodes[0] and high >= nodes[-1] for low, high in needed):
+        part["incidence"] = needed
+    if not domain.transmits:
+        part["side"] = "reflection"
+    return part
+
+
 def _gloss_readings(subject: Subject, wildcards: Wildcards) -> dict[str, Any]:
     measured = subject.section("measured")
     stated = {"gloss_u": u} if (u := measured["uncertainty"].get("gloss")) is not None else {}
@@ -942,7 +956,7 @@ _STAGES = (
         "table",
         "the BSDF on a grid of directions",
         when=_asked("table"),
-        keys=_config_block("table"),
+        keys=StageKeys((), ("table",), lambda subject, _: dict(subject.config["table"]) | _part_of_table(subject)),
         kind="bsdf",
         minutes=1,
     ),

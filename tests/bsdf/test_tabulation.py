@@ -351,3 +351,51 @@ def test_an_axis_of_no_layout_or_of_another_is_refused(bsdf):
     for extra in ("foo", "phi_h"):
         with pytest.raises(VocabularyError, match=extra):
             bsdf.bsdf.tabulate({**GRID, extra: [0.0, 180.0]})
+
+
+SPEC = {
+    "theta_i": list(range(0, 81, 10)),
+    "theta_o": list(range(0, 86, 5)),
+    "phi_o": list(range(0, 181, 10)),
+    "phi_i": [0, 90, 180],
+}
+"""As the configuration has it."""
+
+
+@pytest.mark.parametrize("refine", [False, True])
+def test_a_table_at_wavelengths_has_the_values_of_each(bsdf, refine):
+    bands = [450.0, 555.0, 640.0]
+    table = tabulation.table_for(bsdf, SPEC | {"refine": refine, "wavelength": bands})
+    vocabulary.validate(table, "bsdf")
+    assert table["wavelength"].values.tolist() == bands
+    theta_i, theta_o, phi_o = (float(table[name].values[1]) for name in ("theta_i", "theta_o", "phi_o"))
+    expected = bsdf.bsdf.evaluate(theta_i, 0, theta_o, phi_o, wavelength=bands)
+    np.testing.assert_allclose(table["brdf"].sel(theta_i=theta_i, theta_o=theta_o, phi_o=phi_o), expected, rtol=1e-9)
+    # Between wavelengths of the model its index is linear, and so, nearly, is the reflectance.
+    np.testing.assert_allclose(table.bsdf.evaluate(theta_i, 0, theta_o, phi_o).values, expected, rtol=1e-9)
+    assert table["grid_albedo"].dims == ("theta_i", "wavelength")
+
+
+def test_a_table_without_bands_is_the_average_for_the_eye(bsdf):
+    table = tabulation.table_for(bsdf, SPEC | {"refine": False})
+    assert "wavelength" not in table.coords
+    assert table.identical(tabulation.tabulate(bsdf.bsdf.nonspectral(), tabulation.grid_for(bsdf, SPEC)))
+
+
+def test_a_band_that_the_bsdf_does_not_have_is_refused(bsdf):
+    with pytest.raises(VocabularyError, match="not at 200 nm"):
+        tabulation.table_for(bsdf, SPEC | {"refine": False, "wavelength": [200.0, 555.0]})
+
+
+@pytest.mark.parametrize(
+    ("needed", "kept"),
+    [
+        ([[45, 45]], [40, 50]),
+        ([[0, 0]], [0, 10]),
+        ([[20, 40]], [20, 30, 40]),
+        ([[85, 89]], [70, 80]),
+        ([[8, 8], [62, 63]], [0, 10, 60, 70]),
+    ],
+)
+def test_a_table_has_the_incidences_about_those_that_are_needed(bsdf, needed, kept):
+    assert tabulation.grid_for(bsdf, SPEC | {"incidence": needed})["theta_i"].tolist() == kept

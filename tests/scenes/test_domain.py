@@ -202,3 +202,17 @@ def test_an_empty_domain_is_refused(content, message):
 def test_too_few_directions_are_refused(n):
     with pytest.raises(BrdfpipeError, match="number of directions is"):
         Domain({"hemisphere": {"theta_i": 10, "phi_i": 0}}).directions(n, 0)
+
+
+@pytest.mark.parametrize(
+    ("content", "incidences", "transmits"),
+    [
+        ({"geometries": [{"theta_i": 45, "phi_i": 0, "theta_o": 0, "phi_o": 0}] * 2}, [[45, 45]], False),
+        ({"geometries": [{"theta_i": 8, "phi_i": 0, "theta_o": 172, "phi_o": 0}]}, [[8, 8]], True),
+        ({"hemisphere": {"theta_i": [0, 85], "phi_i": [0, 360]}, "side": "both"}, [[0, 85]], True),
+        ({"ranges": [{"theta_i": 20, "phi_i": 0, "theta_o": [60, 120], "phi_o": 180}]}, [[20, 20]], True),
+    ],
+)
+def test_a_domain_knows_its_incidences_and_whether_it_transmits(content, incidences, transmits):
+    domain = Domain(content)
+    assert (domain.incidences, domain.transmits) == (incidences, transmits)

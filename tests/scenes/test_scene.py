@@ -151,6 +151,7 @@ def test_an_unknown_scene_is_refused_with_those_that_exist(given: str, words: st
         (MINIMAL.replace("[colour]", "[]"), "the scene asks for nothing"),
         (MINIMAL.replace("[colour]", "[gloss]") + "bands: rgb\n", "no result of the scene has these bands"),
         (MINIMAL + "bands: [500, 400]\n", "the values do not increase"),
+        (MINIMAL.replace("[colour]", "[table]") + "bands: rgb\n", "the table has no such bands"),
         (MINIMAL + "polarisation: mueller\n", "no result of the scene is polarised"),
         (MINIMAL.replace("tolerance: 1", "tolerance: 0"), "tolerance"),
         (MINIMAL.replace("purpose: a test\n", ""), "purpose"),

@@ -1,15 +1,12 @@
 from brdfpipe import store
-from brdfpipe.bsdf import tabulation
-from brdfpipe.bsdf.nonspectral import nonspectral
+from brdfpipe.bsdf.tabulation import table_for
 
 
 def main(input, output, params):
-    """The non-spectral BSDF on the grid of directions of the configuration."""
+    """The BSDF on the grid of directions of the configuration, where and at which wavelengths the scene needs it."""
     spec, bsdf = params["spec"], store.shared_dataset(input["bsdf"], "bsdf")
-    grid = tabulation.grid_for(bsdf, spec)
-    make = tabulation.faithful_table if spec["refine"] else tabulation.tabulate
     store.save_dataset(
-        make(nonspectral(bsdf), grid),
+        table_for(bsdf, spec),
         output["table"],
         stage="table",
         material=params["material"],

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -13,6 +14,7 @@ from brdfpipe import vocabulary
 from brdfpipe.bsdf import approximation_error
 from brdfpipe.bsdf.change_variables import NOT_STATED
 from brdfpipe.bsdf.grids import AZIMUTHS, GRIDS, Grid, layout_of
+from brdfpipe.bsdf.nonspectral import nonspectral
 from brdfpipe.bsdf.registry import representation
 from brdfpipe.bsdf.representations.table import AXES, Table
 from brdfpipe.bsdf.source_changes import SourceChanges, uncertain
@@ -259,6 +261,68 @@ def faithful_table(bsdf: xr.Dataset, grid: Mapping[str, ArrayLike]) -> xr.Datase
     return _with_uncertainty(table, bsdf)
 
 
+def table_for(bsdf: xr.Dataset, spec: Mapping[str, Any]) -> xr.Dataset:
+    """The table that the configuration, and a scene with other bands or a smaller domain, ask for.
+
+    Parameters
+    ----------
+    bsdf : kind ``bsdf``
+    spec : the configuration's ``table``; ``refine``, whether nodes are added where its angles are too coarse; of a scene also ``wavelength``, its
+        bands [nm], without which values are averaged with V(λ)·D65; ``incidence``, ranges [low, high] that it needs [degree]; and ``side``,
+        ``reflection`` where it needs no other
+
+    Returns
+    -------
+    As :func:`tabulate`. The grid of all wavelengths is that of the average; verdict and warnings are those of the worst wavelength
+
+    Raises
+    ------
+    VocabularyError : as :func:`tabulate`; a wavelength that the BSDF does not have.
+    """
+    grid, make = grid_for(bsdf, spec), faithful_table if spec["refine"] else tabulate
+    bands = spec.get("wavelength")
+    if bands is None or "wavelength" not in bsdf.coords:
+        return make(nonspectral(bsdf), grid)
+    known = bsdf["wavelength"].values
+    if missing := [f"{band:g}" for band in bands if not known[0] <= band <= known[-1]]:
+        raise VocabularyError(
+            f"the BSDF is known from {known[0]:g} to {known[-1]:g} nm, and not at {', '.join(missing)} nm; change `bands` of the scene, or "
+            "measure spectrum and index there"
+        )
+    shared = _axes_of(make(nonspectral(bsdf), grid)) if spec["refine"] else grid
+    tables = [tabulate(nonspectral(bsdf, _hat(known, band)), shared) for band in bands]
+    worst = max(tables, key=lambda table: float(table["interpolation_rms"]))
+    joined = {
+        str(name): worst[name]
+        if not worst[name].dims
+        else xr.concat([table[name] for table in tables], "wavelength").transpose(..., "wavelength")
+        for name in worst.data_vars
+        if name not in ("total_reflectance", "n")
+    }
+    coords = {name: worst[name] for name in worst.coords} | {"wavelength": np.asarray(bands, dtype=float)}
+    result = xr.Dataset(joined, coords, worst.attrs)
+    for name in ("total_reflectance", "n"):
+        if name in bsdf:
+            field = bsdf[name].drop_vars("theta_i", errors="ignore")
+            result[name] = field.interp(wavelength=result["wavelength"]) if "wavelength" in field.dims else field
+    return vocabulary.label(result, "bsdf")
+
+
+def _axes_of(table: xr.Dataset) -> dict[str, ArrayLike]:
+    return {str(name): table[name].values for name in table["brdf"].dims}
+
+
+def _hat(known: Array, wavelength: float) -> Array:
+    """Weights of a linear interpolation between known wavelengths."""
+    above = int(np.clip(np.searchsorted(known, wavelength), 1, known.size - 1)) if known.size > 1 else 0
+    weight = np.zeros(known.size)
+    if known.size == 1:
+        return weight + 1
+    share = (wavelength - known[above - 1]) / (known[above] - known[above - 1])
+    weight[above - 1], weight[above] = 1 - share, share
+    return weight
+
+
 def relative_loss(table: xr.Dataset) -> xr.DataArray:
     """Relative difference between the reflectance of the grid and of the model; 0 for a black material."""
     difference = abs(table["grid_albedo"] - table["model_albedo"])
@@ -312,25 +376,39 @@ def _distinct(nodes: Array, step: float) -> Array:
     return ordered[keep]
 
 
-def grid_for(bsdf: xr.Dataset, spec: Mapping[str, ArrayLike]) -> dict[str, ArrayLike]:
+def grid_for(bsdf: xr.Dataset, spec: Mapping[str, Any]) -> dict[str, ArrayLike]:
     """The uniform grid of a BSDF, from the configuration's ``table``.
 
     Parameters
     ----------
     bsdf : kind ``bsdf``
-    spec : ``theta_i``, ``theta_o`` below 90, ``phi_o`` from 0 to 180, and ``phi_i`` from the lay [degree]
+    spec : ``theta_i``, ``theta_o`` below 90, ``phi_o`` from 0 to 180, and ``phi_i`` from the lay [degree]; of a scene also ``incidence`` and ``side``
 
     Returns
     -------
-    dict of ``theta_i``; ``theta_o``, mirrored beyond 90 if the BSDF transmits; ``phi_o``, mirrored to 360; and ``phi_i``, counted
+    dict of ``theta_i``, about the ranges of ``incidence``; ``theta_o``, mirrored beyond 90 if the BSDF transmits and ``side`` is not ``reflection``; ``phi_o``, mirrored to 360; and ``phi_i``, counted
     from the lay, if the surface has one
     """
     above = np.asarray(spec["theta_o"], dtype=float)
-    theta_o = np.concatenate([above, 180 - above[::-1]]) if representation(bsdf).transmits else above
-    grid: dict[str, ArrayLike] = {"theta_i": spec["theta_i"], "theta_o": theta_o, "phi_o": full_circle(spec["phi_o"])}
+    both = representation(bsdf).transmits and spec.get("side") != "reflection"
+    theta_o = np.concatenate([above, 180 - above[::-1]]) if both else above
+    theta_i = (
+        _about(np.asarray(spec["theta_i"], dtype=float), spec["incidence"]) if "incidence" in spec else spec["theta_i"]
+    )
+    grid: dict[str, ArrayLike] = {"theta_i": theta_i, "theta_o": theta_o, "phi_o": full_circle(spec["phi_o"])}
     if not representation(bsdf).isotropic:
         grid["phi_i"] = (representation(bsdf).lay or 0.0) + np.asarray(spec["phi_i"], dtype=float)
     return grid
+
+
+def _about(nodes: Array, ranges: Sequence[Sequence[float]]) -> Array:
+    """The nodes between which ranges of angles lie: those within, and the next on either side; two at least."""
+    used = np.zeros(nodes.size, dtype=bool)
+    for low, high in ranges:
+        first = int(np.clip(np.searchsorted(nodes, low, side="right") - 1, 0, max(nodes.size - 2, 0)))
+        last = max(int(np.searchsorted(nodes, high)), first + 1)
+        used[first : last + 1] = True
+    return nodes[used]
 
 
 def full_circle(half: ArrayLike) -> Array:

@@ -61,6 +61,11 @@ class Part(ABC):
         return np.asarray(incident & self.sees(theta_i, phi_i, theta_o, phi_o))
 
     @property
+    @abstractmethod
+    def transmits(self) -> bool:
+        """Whether views are on the transmission side."""
+
+    @property
     def incidence_words(self) -> str:
         return f"incidence {_words(self.theta_i)}, {_azimuth_words(self.phi_i)}"
 
@@ -88,6 +93,10 @@ class ConePart(Part):
     half_angle: float
     below: bool
     """Whether the views are on the transmission side"""
+
+    @property
+    def transmits(self) -> bool:
+        return self.below
 
     def views(self, theta_i: Array, phi_i: Array, u: Array, v: Array) -> tuple[Array, Array]:
         theta, phi = self._axis(theta_i, phi_i)
@@ -119,6 +128,10 @@ class RangePart(Part):
     theta_o: Limits
     phi_o: Limits
 
+    @property
+    def transmits(self) -> bool:
+        return self.theta_o[1] > 90
+
     def views(self, theta_i: Array, phi_i: Array, u: Array, v: Array) -> tuple[Array, Array]:
         first, last = (_projected_share(limit) for limit in self.theta_o)
         share = first + (last - first) * u
@@ -141,6 +154,10 @@ class HemispherePart(Part):
     theta_i: Limits
     phi_i: Limits
     below: bool
+
+    @property
+    def transmits(self) -> bool:
+        return self.below
 
     def views(self, theta_i: Array, phi_i: Array, u: Array, v: Array) -> tuple[Array, Array]:
         rise = np.degrees(np.arcsin(np.sqrt(u)))
@@ -182,6 +199,17 @@ class Domain:
         )
         if not (self.geometries or self.parts):
             raise BrdfpipeError("the domain is empty; accepted: geometries, cones, ranges or the hemisphere")
+
+    @property
+    def incidences(self) -> list[list[float]]:
+        """Ranges of the angle of incidence [low, high] of its parts [degree], increasing, each once."""
+        ranges = {(pair[0], pair[0]) for pair in self.geometries} | {part.theta_i for part in self.parts}
+        return [[float(low), float(high)] for low, high in sorted(ranges)]
+
+    @property
+    def transmits(self) -> bool:
+        """Whether a view is on the transmission side."""
+        return any(pair[2] > 90 for pair in self.geometries) or any(part.transmits for part in self.parts)
 
     def directions(self, n: int, seed: int) -> DirectionPairs:
         """Pairs of directions: the single geometries as they are, then ``n`` sampled ones.

@@ -28,7 +28,7 @@ MODELS = (CHEAPEST, "fullest")
 AS_MATERIAL = "material"
 """The scene exports the formats that each material names."""
 
-_SPECTRAL = ("bsdf", "colour", "preview")
+_SPECTRAL = ("bsdf", "colour", "preview", "table")
 
 
 def _list_or_word(value: Any) -> int:
@@ -108,6 +108,9 @@ class SceneKeys(Keys):
             raise InputError(
                 "", "no result of the scene has these bands", where="bands", found=found, accepted=accepted
             )
+        if self.bands == "rgb" and "table" in self.results:
+            accepted = "photopic or a list of wavelengths; or no `table` in `results`"
+            raise InputError("", "the table has no such bands", where="bands", found="rgb", accepted=accepted)
         if self.polarisation == "mueller" and "bsdf" not in self.results:
             accepted = "unpolarised; or `bsdf` in `results`, which evaluates Mueller matrices"
             raise InputError(
