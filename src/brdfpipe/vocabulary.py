@@ -575,7 +575,7 @@ KINDS: Mapping[str, Kind] = {
             **dict.fromkeys(("expected_error", "error_bound", "expected_cost", "chosen"), _CANDIDATE),
             "feature_value": [("feature",)],
         },
-        attributes=("scene", "metric", "unit", "tolerance", "choice"),
+        attributes=("scene", "metric", "unit", "tolerance", "choice", "numerics", "numerical_error"),
     ),
     "surface": Kind({"height": [("y", "x"), ("x",)]}, attributes=("pitch_x", "levelling", "band")),
     "facets": _FACETS,

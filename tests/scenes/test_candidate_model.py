@@ -20,6 +20,7 @@ from brdfpipe.psd.estimation import estimate as roughness_spectrum
 from brdfpipe.scenes.candidate_model import MEDIAN_WIDTH, banded, build
 from brdfpipe.scenes.ladders import FULLEST, Candidate
 from brdfpipe.scenes.model_inputs import ModelInputs
+from brdfpipe.scenes.numerics import FINE, NUMERICAL_ERROR, QUICK
 
 SIMPLE = {"optics": "facets", "masking": "height-correlated", "multiple_scattering": "none"}
 
@@ -94,3 +95,15 @@ def test_warnings_of_the_inputs_stay(inputs):
     for name in ("counted", "lambert-gauss"):
         texts = vocabulary.warnings(build(Candidate(name, **SIMPLE), replace(inputs, spectrum=dark)))
         assert any("specular albedo" in text for text in texts)
+
+
+@pytest.mark.parametrize("masking", ["auto", "height-correlated"])
+def test_quick_numerics_differ_from_fine_ones_by_less_than_their_stated_error(inputs, masking):
+    fine, quick = (build(Candidate(masking=masking), inputs, numerics) for numerics in (FINE, QUICK))
+    difference = (gloss(quick) - gloss(fine)).values
+    assert 0 < np.abs(difference).max() < NUMERICAL_ERROR["gloss"]
+
+
+def test_quick_numerics_choose_the_same_masking(inputs):
+    fine, quick = (build(FULLEST, inputs, numerics).attrs["masking"] for numerics in (FINE, QUICK))
+    assert quick == fine

@@ -48,6 +48,7 @@ def test_a_plan_is_a_dataset_of_all_candidates_and_the_choice():
     judged = judge((Candidate(optics="wave"), *CANDIDATES), ORIGIN, known(*SLOPES))
     choice = chosen(judged, 1.0)
     attributes = {"scene": "gloss-sheet", "metric": "gloss", "unit": "GU", "tolerance": 1.0}
+    attributes |= {"numerics": "fine", "numerical_error": 0.0}
     plan = vocabulary.validate(plan_dataset(judged, choice, ORIGIN, **attributes), "plan")
     assert plan["chosen"].values.tolist() == [0, 1, 0]
     assert np.isnan(plan["error_bound"].values[0])

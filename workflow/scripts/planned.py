@@ -8,7 +8,8 @@ def main(input, output, params):
     """The BSDF of the model that was planned for a scene."""
     inputs = {name: store.open_dataset(path, name) for name, path in input.items()}
     given = {name: dataset for name, dataset in inputs.items() if name != "plan"}
-    bsdf = build(chosen_candidate(inputs["plan"]), ModelInputs(**given))
+    plan = inputs["plan"]
+    bsdf = build(chosen_candidate(plan), ModelInputs(**given), plan.attrs["numerics"])
     store.save_dataset(
         bsdf.assign_attrs(route="predicted"),
         output["bsdf"],

@@ -33,6 +33,8 @@ REGIONS = {"peak": 0.3, "all": 0.0}
 """Light by the smallest share of the peak of the BRDF."""
 COMPARED_FACETS = 2**16
 """Facets that are compared at incidences of 60 to 75 degree, and four times fewer at others."""
+FIRST_COMPARED = 2**12
+"""Facets that are compared first where these may be enough."""
 
 _INDEX = 1.5  # of a plastic: weighs the light
 _CLOSELY = 60.0  # smallest angle of incidence at which all facets are compared [degree]
@@ -42,7 +44,13 @@ _FIELDS = ("visible_share", "visible_share_u", "smith_visible_share", "smith_err
 
 
 def choose(
-    surface: xr.Dataset, facets: xr.Dataset, *, masking: str = "auto", samples: int = SAMPLES, seed: int = 0
+    surface: xr.Dataset,
+    facets: xr.Dataset,
+    *,
+    masking: str = "auto",
+    samples: int = SAMPLES,
+    seed: int = 0,
+    quick: bool = False,
 ) -> xr.Dataset:
     """Masking that describes the heights of a surface, and the visibility of its facets where Smith's does not.
 
@@ -53,6 +61,7 @@ def choose(
     masking : ``auto``, or ``measured`` to trace the visibility in any case
     samples : facets that are traced for every node of the table
     seed : of the positions of the facets
+    quick : compare few facets first, at incidences up to 75 degree alone, and more only while the choice is not clear
 
     Returns
     -------
@@ -75,7 +84,7 @@ def choose(
     vocabulary.validate(surface, "surface")
     vocabulary.validate(facets, "facets")
     try:
-        result = _compared_and_traced(surface, facets, masking, samples, seed)
+        result = _compared_and_traced(surface, facets, masking, samples, seed, quick)
     except (HeightMapError, VisibilityError) as error:
         if masking == "measured":
             raise
@@ -103,10 +112,17 @@ def smith_errors(surface: xr.Dataset, facets: xr.Dataset, theta: float, samples:
     }
 
 
-def _compared_and_traced(surface: xr.Dataset, facets: xr.Dataset, masking: str, samples: int, seed: int) -> xr.Dataset:
+def _compared_and_traced(
+    surface: xr.Dataset,
+    facets: xr.Dataset,
+    masking: str,
+    samples: int,
+    seed: int,
+    quick: bool,
+) -> xr.Dataset:
     mesh, line = _mesh(surface, facets, masking), surface["height"].ndim == 1
     density = RadialDensity.of(facets)
-    result = _compared(FacetSample.of(mesh, COMPARED_FACETS, seed), density)
+    result = (_compared_until_clear if quick else _compared)(mesh, density, seed)
     chosen, reason = _choice(result)
     if masking == "measured":
         chosen, reason = masking, f"`model.masking: measured`; {reason}"
@@ -142,7 +158,7 @@ def _choice(comparison: xr.Dataset) -> tuple[str, str]:
     error, u = judged["smith_error"].values, judged["smith_error_u"].values
     over_limit = np.abs(error) / (THRESHOLD + SIGNIFICANT * u)
     row, column = np.unravel_index(int(over_limit.argmax()), error.shape)
-    place = f"at {THETA[row]:g}° in {'the peak' if list(REGIONS)[column] == 'peak' else 'all'}"
+    place = f"at {judged['theta_i'].values[row]:g}° in {'the peak' if list(REGIONS)[column] == 'peak' else 'all'}"
     found = f"{error[row, column]:+.1%} ± {u[row, column]:.1%} of the light {place}".replace("-", "−")
     if over_limit.max() > 1:
         return "measured", f"Smith's masking would give {found}"
@@ -152,17 +168,35 @@ def _choice(comparison: xr.Dataset) -> tuple[str, str]:
     )
 
 
-def _compared(facets: FacetSample, density: RadialDensity) -> xr.Dataset:
-    """Light that facets reflect once, seen by tracing and after Smith, at :data:`THETA`."""
+def _compared_until_clear(mesh: HeightMesh, density: RadialDensity, seed: int) -> xr.Dataset:
+    """As :func:`_compared`, up to 75 degree, of as many facets as make the choice clear: that of all facets would be another by chance only
+    at three standard uncertainties."""
+    theta, count = THETA[THETA <= LARGEST_COMPARED], FIRST_COMPARED
+    while count < COMPARED_FACETS:
+        result = _compared(mesh, density, seed, count, theta)
+        error, u = np.abs(result["smith_error"].values), result["smith_error_u"].values
+        u_of_all = u * np.sqrt(count / COMPARED_FACETS)
+        limit = THRESHOLD + SIGNIFICANT * u_of_all
+        if np.any(error - SIGNIFICANT * u > limit) or np.all(error + SIGNIFICANT * u < limit):
+            return result
+        count *= _FEWER
+    return _compared(mesh, density, seed, theta=theta)
+
+
+def _compared(
+    mesh: HeightMesh, density: RadialDensity, seed: int, count: int = COMPARED_FACETS, theta: Array = THETA
+) -> xr.Dataset:
+    """Light that facets reflect once, seen by tracing and after Smith, at angles of incidence ``theta`` [degree]."""
+    facets = FacetSample.of(mesh, count, seed)
     smith = facets.smith_excess()
     fewer = facets.take(np.arange(0, facets.block.size, _FEWER))
     by_incidence = [
         _at_incidence(
-            facets if _CLOSELY <= theta <= LARGEST_COMPARED else fewer, density, smith, float(np.radians(theta))
+            facets if _CLOSELY <= angle <= LARGEST_COMPARED else fewer, density, smith, float(np.radians(angle))
         )
-        for theta in THETA
+        for angle in theta
     ]
-    dims, coords = ("theta_i", "region"), {"theta_i": THETA, "region": list(REGIONS)}
+    dims, coords = ("theta_i", "region"), {"theta_i": theta, "region": list(REGIONS)}
     fields = np.moveaxis(np.array(by_incidence), -1, 0)
     return xr.Dataset({name: (dims, values) for name, values in zip(_FIELDS, fields, strict=True)}, coords)
 

@@ -21,6 +21,7 @@ from brdfpipe.masking import visibility_choice
 from brdfpipe.optics.index import interpolate_index
 from brdfpipe.scenes.ladders import Candidate
 from brdfpipe.scenes.model_inputs import ONE_WAVELENGTH, ModelInputs
+from brdfpipe.scenes.numerics import FINE, NUMERICS
 
 FITTED_INCIDENCES = np.array([0.0, 10, 20, 30, 40, 50, 60, 70, 75, 80, 85])
 """Angles of incidence at which Lambert + Gauss is fitted [degree]."""
@@ -38,13 +39,14 @@ ADVICE_ON_MODELS = "`model."
 """In warnings that advise a key of the model in the description: the choice of a candidate is not the user's."""
 
 
-def build(candidate: Candidate, inputs: ModelInputs) -> xr.Dataset:
+def build(candidate: Candidate, inputs: ModelInputs, numerics: str = FINE) -> xr.Dataset:
     """The BSDF of a candidate.
 
     Parameters
     ----------
     candidate : rungs that differ for these inputs
     inputs : of the material; the facets are not a perfectly flat surface
+    numerics : a name of :data:`brdfpipe.scenes.numerics.NUMERICS`
 
     Returns
     -------
@@ -56,6 +58,7 @@ def build(candidate: Candidate, inputs: ModelInputs) -> xr.Dataset:
     BrdfpipeError : the model refuses these inputs.
     """
     index, spectrum = banded(candidate, inputs)
+    numbers = NUMERICS[numerics]
     if candidate.distribution == "lambert":
         if spectrum is None:
             raise ValueError("a Lambertian material needs a spectrum")
@@ -66,16 +69,25 @@ def build(candidate: Candidate, inputs: ModelInputs) -> xr.Dataset:
     if candidate.optics == "wave":
         if inputs.psd is None:
             raise ValueError(f"{candidate} needs a roughness spectrum")
-        waves_alone = build_wave(inputs.psd, index=index, spectrum=spectrum, diffuse=base, optics="wave")
+        waves_alone = build_wave(
+            inputs.psd, index=index, spectrum=spectrum, diffuse=base, optics="wave", phase_step=numbers.phase_step
+        )
         texts = vocabulary.warnings(waves_alone)
         return _with_warnings(waves_alone, [text for text in texts if ADVICE_ON_MODELS not in text])
     facets = _facets(candidate.distribution, inputs.facets)
     visibility = reflections = None
     if inputs.surface is not None and candidate.distribution in ("counted", "isotropic"):
         if candidate.masking == "auto":
-            visibility = visibility_choice.choose(inputs.surface, inputs.facets)
+            visibility = visibility_choice.choose(inputs.surface, inputs.facets, quick=not numbers.compares_all)
         if candidate.multiple_scattering == "auto":
-            reflections = interreflection.choose(inputs.surface, inputs.facets, index=index, spectrum=spectrum)
+            reflections = interreflection.choose(
+                inputs.surface,
+                inputs.facets,
+                index=index,
+                spectrum=spectrum,
+                rays=numbers.rays,
+                nodes=numbers.reflection_nodes,
+            )
     waves = inputs.psd if candidate.optics == "auto" and candidate.distribution != "lambert-gauss" else None
     bsdf = build_microfacet(
         facets,
@@ -102,6 +114,7 @@ def build(candidate: Candidate, inputs: ModelInputs) -> xr.Dataset:
         visibility=visibility,
         optics="auto",
         states_cut_error=False,
+        phase_step=numbers.phase_step,
     )
 
 

@@ -37,6 +37,11 @@ class ModelInputs:
         return float(weight @ self.spectrum["total_reflectance"].values / weight.sum())
 
     @property
+    def lay(self) -> bool:
+        """Whether the slopes have a lay."""
+        return self.facets is not None and self.facets["slope_density"].ndim == 2
+
+    @property
     def structures(self) -> tuple[Candidate, ...]:
         """The treatments of the surface that differ for this material."""
         slopes = self.facets is not None and self.facets["slope_density"].size > 0
@@ -44,6 +49,6 @@ class ModelInputs:
             surface=slopes,
             heights=slopes and self.surface is not None,
             spectrum_known=self.spectrum is not None,
-            lay=slopes and self.facets is not None and self.facets["slope_density"].ndim == 2,
+            lay=slopes and self.lay,
             waves=self.psd is not None,
         )

@@ -21,6 +21,7 @@ from brdfpipe.scenes.experience import CERTAINTY, NONE, Experience
 from brdfpipe.scenes.features import features, in_spreads
 from brdfpipe.scenes.ladders import FULLEST, LADDERS, Candidate
 from brdfpipe.scenes.model_inputs import ModelInputs
+from brdfpipe.scenes.numerics import numerics_for
 
 
 class ToleranceError(BrdfpipeError):
@@ -101,7 +102,14 @@ def not_below(value: float) -> str:
 
 
 def plan(
-    inputs: ModelInputs, experience: Experience, *, scene: str, metric: str, unit: str, tolerance: float, errors_of: str
+    inputs: ModelInputs,
+    experience: Experience,
+    *,
+    scene: str,
+    metric: str,
+    unit: str,
+    tolerance: float,
+    errors_of: str,
 ) -> xr.Dataset:
     """The cheapest model of a material whose error a scene accepts.
 
@@ -114,7 +122,8 @@ def plan(
     Returns
     -------
     Dataset of kind ``plan``: ``expected_error(candidate)`` and ``error_bound(candidate)`` in the unit of the metric,
-    ``expected_cost(candidate)`` [s], and which is ``chosen``; the rungs of each candidate; the features of the material
+    ``expected_cost(candidate)`` [s], and which is ``chosen``; the rungs of each candidate; the features of the material. The attribute
+    ``numerics`` names how it is computed, and ``numerical_error`` is the error of that, which bounds do not contain
 
     Raises
     ------
@@ -129,11 +138,23 @@ def plan(
             f"{not_below(best.error)} {unit}: {best.reason}; raise `tolerance` to that, or set `model: fullest`"
         )
     judged = judge(inputs.structures, found, usable)
-    choice = chosen(judged, tolerance)
-    result = plan_dataset(judged, choice, found, scene=scene, metric=metric, unit=unit, tolerance=tolerance)
-    return vocabulary.add_history(
-        result, f"{choice.candidate} was chosen: {_reason(choice, judged, usable, tolerance, unit)}"
+    numerics, numerical_error = numerics_for(metric, tolerance, inputs.lay)
+    choice = chosen(judged, tolerance - numerical_error)
+    result = plan_dataset(
+        judged,
+        choice,
+        found,
+        scene=scene,
+        metric=metric,
+        unit=unit,
+        tolerance=tolerance,
+        numerics=numerics,
+        numerical_error=numerical_error,
     )
+    text = f"{choice.candidate} was chosen: {_reason(choice, judged, usable, tolerance - numerical_error, unit)}"
+    if numerical_error:
+        text += f"; {numerics} numerics, with an error of up to {numerical_error:g} {unit} of the {tolerance:g} {unit} of the scene"
+    return vocabulary.add_history(result, text)
 
 
 def _reason(choice: Judged, judged: Sequence[Judged], experience: Experience, tolerance: float, unit: str) -> str:

@@ -10,7 +10,7 @@ from brdfpipe.bsdf.microfacet.builder import index_on, smith_choice
 from brdfpipe.bsdf.microfacet.energy import directional_albedo, mirror_albedo
 from brdfpipe.bsdf.microfacet.microsurface import Microsurface
 from brdfpipe.bsdf.microfacet.model import without_lay
-from brdfpipe.bsdf.microfacet.second_reflection import JUDGED, LEAST_SHARE, largest_share, with_second_reflection
+from brdfpipe.bsdf.microfacet.second_reflection import JUDGED, LEAST_SHARE, NODES, largest_share, with_second_reflection
 from brdfpipe.bsdf.microfacet.traced_reflections import RAYS, count_light, trace_reflections
 from brdfpipe.geometry import Array
 from brdfpipe.optics.index import refractive_index
@@ -31,6 +31,7 @@ def choose(
     multiple_scattering: str = "auto",
     rays: int = RAYS,
     seed: int = 0,
+    nodes: tuple[int, int] = NODES,
 ) -> xr.Dataset:
     """Light that a height map reflects more than once, where it is more than 1 % of the reflected light.
 
@@ -42,6 +43,7 @@ def choose(
     multiple_scattering : ``auto``, or ``measured`` to trace the light in any case
     rays : of each of the 12 incidences
     seed : of the positions of the rays
+    nodes : of the table of an isotropic surface (:func:`brdfpipe.bsdf.microfacet.traced_reflections.trace_reflections`)
 
     Returns
     -------
@@ -85,7 +87,7 @@ def choose(
     reason = f"the map reflects {share:.1%} of the light more than once at {theta:g}°"
     if share < LEAST_SHARE and not always:
         return _labelled("none", reason)
-    traced = trace_reflections(mesh, smith, *pairs, lay=lay, rays=rays, seed=seed)
+    traced = trace_reflections(mesh, smith, *pairs, lay=lay, rays=rays, seed=seed, nodes=nodes)
     spectral = () if n.ndim == 0 else ("wavelength",)
     result = xr.Dataset(
         {"n": (spectral, n), "k": (spectral, k)}, {} if wavelength is None else {"wavelength": wavelength}

@@ -43,8 +43,9 @@ JUDGED = np.array([60.0, 75.0])
 LEAST_SHARE = 0.01
 """Share of the reflected light from which on they are."""
 
-_POLAR_NODES = 24  # angles θ of the table
-_AZIMUTH_NODES = 17  # azimuths of the table
+NODES = 24, 17
+"""Angles θ of the table, and azimuths."""
+
 _SLOPE_PANELS = 12  # of the quadrature over the first facet
 _FACET_AZIMUTHS = 16  # nodes of its azimuth, on one side of the plane of incidence
 _BASIS_ERROR = 1e-4  # of the Fresnel reflectance of all wavelengths, relative
@@ -324,7 +325,9 @@ def second_reflection(
     return replace(table, log_factor=of_material + by_pair[..., None, None])
 
 
-def of_smith_surface(surface: Microsurface, n: Array, k: Array) -> tuple[SecondReflection, NDArray[np.intp]]:
+def of_smith_surface(
+    surface: Microsurface, n: Array, k: Array, nodes: tuple[int, int] = NODES
+) -> tuple[SecondReflection, NDArray[np.intp]]:
     """The reflections of Smith's isotropic surface, of which perfect mirrors need not give all light that is missing.
 
     Returns
@@ -333,9 +336,9 @@ def of_smith_surface(surface: Microsurface, n: Array, k: Array) -> tuple[SecondR
     (wavelength,) : number of the index of each wavelength among them, from 0
     """
     slope = surface.typical_slope
-    theta = polar_nodes(slope, _POLAR_NODES)
+    theta = polar_nodes(slope, nodes[0])
     pairs, where = np.unique(np.stack(np.broadcast_arrays(n, k)), axis=1, return_inverse=True)
-    table = SecondReflection(slope, _log(_factors(surface, theta, pairs)), np.empty((theta.size, 0)))
+    table = SecondReflection(slope, _log(_factors(surface, theta, pairs, nodes[1])), np.empty((theta.size, 0)))
     at = table.closing_angles
     third_of_mirrors, third = _several_reflections(surface, at, pairs)[1]
     every = np.concatenate([third_of_mirrors[:, None], third], axis=1)
@@ -405,10 +408,10 @@ def _diffuse_rest(slope: float, theta: Array, rest: Array, pairs: Array) -> Arra
     return np.asarray((seen * rest[:, None] * rest / (np.pi * max(lost, _LEAST)))[..., None] * shares)
 
 
-def _factors(surface: Microsurface, theta: Array, pairs: Array) -> Array:
+def _factors(surface: Microsurface, theta: Array, pairs: Array, azimuths: int) -> Array:
     """A of the second reflection at the nodes, (θ_i, θ_o, φ, 1 + index): of perfect mirrors, and of each index."""
     basis, coefficients = fresnel_basis(pairs)
-    azimuth = np.linspace(0.0, 1.0, _AZIMUTH_NODES)
+    azimuth = np.linspace(0.0, 1.0, azimuths)
     theta = theta[:-1]
     upwards = np.stack([upward_paths(surface, incidence, theta, azimuth, basis) for incidence in theta])
     products = (coefficients[:, None] * coefficients[None]).reshape(coefficients.shape[0] ** 2, -1)

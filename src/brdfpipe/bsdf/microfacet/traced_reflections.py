@@ -22,6 +22,7 @@ from scipy.ndimage import map_coordinates
 
 from brdfpipe.bsdf.microfacet.microsurface import Microsurface
 from brdfpipe.bsdf.microfacet.second_reflection import (
+    NODES,
     SecondReflection,
     azimuth_width,
     grazing_scale,
@@ -58,7 +59,15 @@ class TracedReflections(NamedTuple):
 
 
 def trace_reflections(
-    mesh: HeightMesh, surface: Microsurface, n: Array, k: Array, *, lay: bool = False, rays: int = RAYS, seed: int = 0
+    mesh: HeightMesh,
+    surface: Microsurface,
+    n: Array,
+    k: Array,
+    *,
+    lay: bool = False,
+    rays: int = RAYS,
+    seed: int = 0,
+    nodes: tuple[int, int] = NODES,
 ) -> TracedReflections:
     """Trace and tabulate the light that a map reflects more than once.
 
@@ -70,13 +79,14 @@ def trace_reflections(
     lay : let the light depend on both azimuths
     rays : of each of the 12 incidences
     seed : of the positions of the rays
+    nodes : angles and azimuths of the table of an isotropic surface; at least 12 and 9, the nodes of the ratio
 
     Notes
     -----
     Bins are linear hats about nodes. Where few paths were counted, the ratio is that of two, four and eight times wider bins. Of a surface
     with a lay there is one ratio for each of 16 planes.
     """
-    smith, where = of_smith_surface(surface, n, k)
+    smith, where = of_smith_surface(surface, n, k, nodes)
     pairs = np.unique(np.stack(np.broadcast_arrays(n, k)), axis=1)
     planes = _PLANES if lay else 1
     theta = _incidences(smith.slope)
@@ -85,22 +95,22 @@ def trace_reflections(
     both = light + light.swapaxes(0, 1)
     # One path of mean light counts beside all others.
     virtual = light.sum(axis=(0, 1, 2)) / max(counts.paths / planes, 1)
-    nodes = both.shape[:3] if lay else smith.log_factor.shape[:3]
-    log_smith = np.tile(_resampled(smith.log_factor, nodes), planes)
-    base = replace(smith, weight=np.empty((nodes[0], 0)), planes=planes)
+    shape = both.shape[:3] if lay else smith.log_factor.shape[:3]
+    log_smith = np.tile(_resampled(smith.log_factor, shape), planes)
+    base = replace(smith, weight=np.empty((shape[0], 0)), planes=planes)
     table, log_ratio = replace(base, log_factor=log_smith), np.zeros_like(both)
     for _ in range(_CORRECTIONS if counts.paths else 0):
         sent = _sent(table, theta)
         log_ratio += np.log(_ratio(both, sent + sent.swapaxes(0, 1), virtual))
-        table = replace(base, log_factor=log_smith + _resampled(log_ratio, nodes))
-    of_material = table.log_factor.reshape(*nodes, planes, -1)[..., 1:][..., where]
+        table = replace(base, log_factor=log_smith + _resampled(log_ratio, shape))
+    of_material = table.log_factor.reshape(*shape, planes, -1)[..., 1:][..., where]
     by_index = light.reshape(*both.shape[:3], planes, -1)[..., 1:].mean(axis=(3, 4))
     blocks = counts.of_blocks
     least = virtual.reshape(planes, -1)[:, 1:].mean()
     in_bins = np.hypot(_scatter(blocks + blocks.swapaxes(1, 2)), least) / (by_index + by_index.swapaxes(0, 1) + least)
     return TracedReflections(
-        replace(table, log_factor=of_material.reshape(*nodes, -1)),
-        _resampled(np.minimum(in_bins, 1.0)[..., None], nodes)[..., 0],
+        replace(table, log_factor=of_material.reshape(*shape, -1)),
+        _resampled(np.minimum(in_bins, 1.0)[..., None], shape)[..., 0],
         theta,
         by_index.sum(axis=(1, 2)),
         _scatter(blocks.sum(axis=(2, 3))),

@@ -132,6 +132,7 @@ def build(
     optics: str = "wave",
     cut: float | None = None,
     states_cut_error: bool = True,
+    phase_step: float = height_transform.PHASE_STEP,
 ) -> xr.Dataset:
     """BSDF of a surface by wave optics, by facets with finer roughness, or by both in turn.
 
@@ -153,6 +154,7 @@ def build(
         :data:`FINE_PHASE`, at most half an inverse wavelength
     states_cut_error : add ``cut_error``, how much the lobe depends on the cut: three more tables of the finer roughness, which no value of
         the BSDF needs
+    phase_step : step of the logarithm of the phase variance in tables of the halo without a lay [1]
 
     Returns
     -------
@@ -207,7 +209,7 @@ def build(
             facet_sigma=relief.sigma, resolved_slope=relief.slope, passage_phase=relief.passage
         )
         if relief.uses_fine:
-            bsdf = _with_finer_roughness(bsdf, relief, facets)
+            bsdf = _with_finer_roughness(bsdf, relief, facets, phase_step)
             if states_cut_error:
                 middle = float(given[np.abs(given - 1e3 * _MIDDLE).argmin()])
                 bsdf = bsdf.assign(cut_error=_cut_error(correlation, sigma, psd, relief, facets, middle))
@@ -221,7 +223,7 @@ def build(
     }
     bsdf.attrs |= {"representation": Wave.name, **attributes}
     if optics != "composite":
-        bsdf = bsdf.merge(halo_table(correlation, sigma, psd, given, _has_lay(psd, facets)))
+        bsdf = bsdf.merge(halo_table(correlation, sigma, psd, given, _has_lay(psd, facets), phase_step))
     bsdf = _with_albedo(bsdf, theta_m, psd)
     bsdf = _with_diffuse(bsdf, spectrum, theta_m)
     bsdf = vocabulary.add_warning(bsdf, *warnings, *_limits(bsdf, psd, correlation))
@@ -248,7 +250,12 @@ def _check(form: str, diffuse: str, optics: str, facets: xr.Dataset | None) -> N
 
 
 def halo_table(
-    correlation: height_transform.Autocorrelation, sigma: float, psd: xr.Dataset, wavelength: Array, lay: bool
+    correlation: height_transform.Autocorrelation,
+    sigma: float,
+    psd: xr.Dataset,
+    wavelength: Array,
+    lay: bool,
+    phase_step: float = height_transform.PHASE_STEP,
 ) -> xr.Dataset:
     """Logarithm of the halo over phase variance and frequency, of a roughness with its rms height ``sigma`` [um], for wavelengths [nm]."""
     shortest = float(wavelength[0]) * 1e-3
@@ -256,7 +263,7 @@ def halo_table(
     if lay:
         planar, stretch = planar_transform.spectrum_with_lay(psd, correlation)
         return planar_transform.tabulated(planar, stretch, correlation.length, largest_phase, 2 / shortest)
-    table = height_transform.tabulated(correlation, largest_phase, 2 / shortest)
+    table = height_transform.tabulated(correlation, largest_phase, 2 / shortest, phase_step=phase_step)
     if psd.attrs["form"] != "measured":
         table = table.assign({name: float(psd[name]) for name in ("fit_length", "fit_slope")})
     return table
@@ -394,11 +401,11 @@ def _with_facets(bsdf: xr.Dataset, predicted: xr.Dataset, around: Mapping[str, A
     return bsdf.merge(kept).assign_coords(around).assign_attrs(attributes)
 
 
-def _with_finer_roughness(bsdf: xr.Dataset, relief: Relief, facets: xr.Dataset) -> xr.Dataset:
+def _with_finer_roughness(bsdf: xr.Dataset, relief: Relief, facets: xr.Dataset, phase_step: float) -> xr.Dataset:
     """Add the halo of the roughness upon the facets of a relief."""
     # Of slopes with a lay the mean over azimuth: what the finer roughness spreads is wider than the lobe.
     radial = RadialDensity.of(azimuthal_average(facets))
-    table = _fine_table(relief, radial, float(bsdf["wavelength"][0])).rename(
+    table = _fine_table(relief, radial, float(bsdf["wavelength"][0]), phase_step).rename(
         log_halo="log_fine_halo",
         phase_variance="fine_phase_variance",
         halo_frequency="fine_frequency",
