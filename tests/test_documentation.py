@@ -75,6 +75,13 @@ def test_the_examples_of_the_model_run() -> None:
     assert names["lacquer"].attrs["representation"] == "coated"  # type: ignore[attr-defined]
 
 
+def test_the_example_of_the_grain_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    shutil.copy(PROJECT / "examples" / "abs-grain" / "grain.x3p", tmp_path)
+    monkeypatch.chdir(tmp_path)
+    assert run("docs/texture.md", {})
+    assert len(list(Path("maps").iterdir())) == 3
+
+
 @pytest.mark.parametrize("page", ["exchange", "metrics", "veiling-glare"])
 def test_the_examples_of_a_page_with_a_bsdf_run(page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
@@ -188,7 +195,7 @@ def test_the_tutorial_runs_from_an_empty_folder(tmp_path: Path, monkeypatch: pyt
 
 def test_no_page_has_python_that_no_test_runs() -> None:
     elsewhere = {"README.md", "materials.md", "model.md", "exchange.md", "metrics.md", "veiling-glare.md"}
-    elsewhere |= {"rig.md"}  # tests/rig/test_documentation.py
+    elsewhere |= {"rig.md", "texture.md"}  # tests/rig/test_documentation.py; test_the_example_of_the_grain_runs
     with_mitsuba_or_radiance = {"mitsuba.md", "radiance.md"}  # which `make peers` installs
     with_python = {page for page in PAGES if "\n```python\n" in page.read_text(encoding="utf-8")}
     assert {page.name for page in with_python - set(TAUGHT)} <= elsewhere | with_mitsuba_or_radiance

@@ -24,6 +24,9 @@ def address(tmp_path: Path) -> Iterator[tuple[str, int]]:
     (results / ".index.jsonl").write_text("hidden")
     (tmp_path / "secret").write_text("secret")
     (results / "link").symlink_to(tmp_path / "secret")
+    for number, index in enumerate(("index.html", "index.htm")):
+        (results / f"folder{number}").mkdir()
+        (results / f"folder{number}" / index).symlink_to(tmp_path / "secret")
     running = server(results, 0)
     thread = threading.Thread(target=running.serve_forever, daemon=True)
     thread.start()
@@ -49,7 +52,18 @@ def test_pages_are_served_on_the_loopback_address(address: tuple[str, int]) -> N
 
 
 @pytest.mark.parametrize(
-    "path", ["/../secret", "/%2e%2e/secret", "/a%20b/..%2f..%2fsecret", "//secret", "/link", "/.index.jsonl", "/a%20b/"]
+    "path",
+    [
+        "/../secret",
+        "/%2e%2e/secret",
+        "/a%20b/..%2f..%2fsecret",
+        "//secret",
+        "/link",
+        "/.index.jsonl",
+        "/a%20b/",
+        "/folder0/",
+        "/folder1/",
+    ],
 )
 def test_nothing_else_is_served(address: tuple[str, int], path: str) -> None:
     status, content = _answer(address, path)

@@ -67,6 +67,29 @@ def test_without_a_bsdf_there_is_no_viewer() -> None:
     assert viewer.viewer_data({}) is None
 
 
+def test_a_measured_bsdf_is_shown_beside_the_last_prediction_of_its_surface(monkeypatch: pytest.MonkeyPatch) -> None:
+    measured = samples.beckmann_bsdf(0.1).assign_attrs(route="measured")
+    facets, waves = samples.beckmann_bsdf(0.2), samples.beckmann_bsdf(0.3)
+    compared: dict[str, Any] = {}
+
+    def one_set(name, bsdf, *_):
+        compared[name] = bsdf
+        return {"high": None}
+
+    monkeypatch.setattr(viewer, "_set", one_set)
+    viewer.viewer_data({"bsdf": measured, "predicted": facets, "wave": waves})
+    assert compared["measured"] is measured
+    assert compared["predicted"] is waves
+    viewer.viewer_data({"bsdf": measured, "predicted": facets})
+    assert compared["predicted"] is facets
+
+
+def test_a_page_carries_the_licence_of_the_library_in_it() -> None:
+    page = material_page({"bsdf": samples.beckmann_bsdf(0.4)})
+    assert "Leon Sorokin" in page
+    assert "Permission is hereby granted" in page
+
+
 # --- in a browser
 
 SCRIPT = """

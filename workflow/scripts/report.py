@@ -6,7 +6,9 @@ from brdfpipe.report.material.page import material_page
 def main(input, output, params):
     """The page of a material."""
     spec = params["spec"]
-    with reading.opened(dict(input.items()), evaluated=("bsdf", "predicted", "sheet", "coated")) as datasets:
+    with reading.opened(
+        dict(input.items()), evaluated=("bsdf", "predicted", "wave", "sheet", "coated", "reference")
+    ) as datasets:
         page = material_page(datasets, **spec)
     store.write_text(output["page"], page)
 

@@ -31,6 +31,8 @@ class _ResultsHandler(SimpleHTTPRequestHandler):
         folder, path = Path(self.directory).resolve(), Path(self.translate_path(self.path))
         try:
             inside = path.resolve().relative_to(folder)
+            for index in ("index.html", "index.htm"):  # which stands for its folder
+                (path / index).resolve().relative_to(folder)
         except (ValueError, OSError):
             return self.send_error(HTTPStatus.NOT_FOUND)
         if any(part.startswith(".") for part in inside.parts):

@@ -60,9 +60,16 @@ def _environment() -> Environment:
 
 @cache
 def script(*names: str) -> tuple[Markup, str]:
-    """A script of the page, from files of the templates, and the hash by which the page's policy allows it."""
-    text = "\n".join((TEMPLATES / name).read_text("utf-8") for name in names)
+    """A script of the page, from files of the templates with their licences, and the hash by which the page's policy allows it."""
+    text = "\n".join(_with_licence(TEMPLATES / name) for name in names)
     return Markup(text), b64encode(sha256(text.encode()).digest()).decode()
+
+
+def _with_licence(file: Path) -> str:
+    """A script below the licence of its library, which every copy has to carry."""
+    licence = file.with_suffix(".LICENSE")
+    notice = f"/*!\n{licence.read_text('utf-8')}*/\n" if licence.is_file() else ""
+    return notice + file.read_text("utf-8")
 
 
 def own_stages(datasets: Mapping[str, xr.Dataset]) -> dict[str, xr.Dataset]:

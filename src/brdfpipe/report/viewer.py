@@ -184,14 +184,19 @@ def interpolation_error(
     return float(np.median(error)), float(np.percentile(error, 95))
 
 
+_PREDICTIONS = ("reference", "wave", "sheet", "coated", "predicted")
+"""Stages that predict a BSDF, the last one of a material first: that is the prediction which a measurement is compared with."""
+
+
 def viewer_data(datasets: Mapping[str, xr.Dataset]) -> dict[str, Any] | None:
     """What the viewer of a page shows; None without a BSDF that has a density, or where its directions are not covered.
 
     A measured BSDF is followed by the prediction of the same material, if there is one.
     """
     shown = {"BSDF": datasets.get("bsdf")}
-    if "predicted" in datasets and "bsdf" in datasets and datasets["bsdf"].attrs.get("route") == "measured":
-        shown = {"measured": datasets["bsdf"], "predicted": datasets["predicted"]}
+    prediction = next((datasets[stage] for stage in _PREDICTIONS if stage in datasets), None)
+    if prediction is not None and "bsdf" in datasets and datasets["bsdf"].attrs.get("route") == "measured":
+        shown = {"measured": datasets["bsdf"], "predicted": prediction}
     planes: list[Plane] = []
     sets = []
     for name, bsdf in shown.items():

@@ -77,7 +77,7 @@
     if (!q.s.basis) return "";
     const [p, t] = position(q, x, y), T = Math.ceil(q.turns / 4), D = Math.ceil(q.distances / 3);
     const i = I.filter((_, k) => k % 2 === 0).reduce((best, v, k, all) => (abs(v - q.incidence) < abs(all[best] - q.incidence) ? k : best), 0);
-    return q.s.flags[q.s.basis[(i * T + min(round(p / 4), T - 1)) * D + min(round(t / 3), D - 1)]];
+    return q.s.flags[q.s.basis[(i * T + (q.full ? round(p / 4) % T : min(round(p / 4), T - 1))) * D + min(round(t / 3), D - 1)]];
   };
   // --- state
   const names = [...new Set(data.sets.map((s) => s.name))], sides = [...new Set(data.sets.map((s) => s.side))];
@@ -273,7 +273,10 @@
     state.incidence = clamp(state.incidence, 0, I[I.length - 1]);
     shown = {};
     for (const name of names) { const s = of(name); if (s) shown[name] = slice(s, state.incidence, state.wavelength); }
-    if (!shown[state.show] && state.show !== "ratio") state.show = Object.keys(shown)[0];
+    if (state.show === "ratio" ? !names.every((name) => shown[name]) : !shown[state.show]) {
+      state.show = Object.keys(shown)[0];
+      if ($("show")) $("show").value = state.show;
+    }
     $("incidence").value = state.incidence;
     $("incidence-text").textContent = `${state.incidence.toFixed(1)}°`;
     $("wavelength-text").textContent = spectral ? `${state.wavelength} nm` : "";
