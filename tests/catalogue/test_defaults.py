@@ -102,6 +102,32 @@ def test_both_spectra_of_a_sample_inherit_their_scale(tmp_path: Path) -> None:
     assert "spectrum.scale" not in content.unused_defaults
 
 
+def test_a_material_overrides_the_uncertainty_of_an_index_that_it_inherits(tmp_path: Path) -> None:
+    defaults = "index: 1.5\nindex_uncertainty: 0.001\n"
+    loaded = catalogue.load(write(tmp_path, defaults, m=SCAN + "index_uncertainty: 0.05\n", n=SCAN))
+    assert {name: (one.content["index"], one.content["index_uncertainty"]) for name, one in loaded.by_name.items()} == {
+        "m": (1.5, 0.05),
+        "n": (1.5, 0.001),
+    }
+
+
+@pytest.mark.parametrize("half", ["sci", "sce"])
+def test_a_pair_of_spectra_with_a_column_of_uncertainties_inherits_no_uncertainty(tmp_path: Path, half: str) -> None:
+    files = dict.fromkeys(("sci", "sce"), "{file: a.txt}") | {half: "{file: a.txt, uncertainty: u}"}
+    pair = f"spectrum: {{sci: {files['sci']}, sce: {files['sce']}}}\n"
+    plain = "spectrum: {sci: {file: a.txt}, sce: {file: a.txt}}\n"
+    loaded = catalogue.load(write(tmp_path, "spectrum: {reflectance_uncertainty: 0.005}\n", m=pair, n=plain))
+    assert "reflectance_uncertainty" not in loaded["m"].content["spectrum"]
+    assert loaded["n"].content["spectrum"]["reflectance_uncertainty"] == 0.005
+
+
+def test_the_scene_of_a_catalogue_lies_in_it(tmp_path: Path) -> None:
+    (tmp_path / "out.yaml").write_text("name: x\n")
+    folder = write(tmp_path / "c", "exports: []\nscene: ../out.yaml\n", m=SCAN + "index: 1.5\n")
+    with pytest.raises(InputError, match=r"catalogue\.yaml, line 2, scene: leads outside the catalogue"):
+        catalogue.load(folder)
+
+
 def test_every_default_is_a_key_of_materials() -> None:
     assert SurfaceDefaults.model_fields.keys() <= MeasuredSurface.model_fields.keys()
     of_spectra = {

@@ -38,7 +38,9 @@ class Defaults:
     def _inherited(self, written: Mapping[str, Any]) -> Iterator[tuple[KeyPath, Any]]:
         if "surface" in written and "index" not in written:
             yield from (
-                ((name,), self.content[name]) for name in ("index", "index_uncertainty") if name in self.content
+                ((name,), self.content[name])
+                for name in ("index", "index_uncertainty")
+                if name in self.content and name not in written
             )
         if "exports" in self.content and "exports" not in written:
             yield ("exports",), self.content["exports"]
@@ -49,14 +51,16 @@ class Defaults:
             return
         given = self.content.get("spectrum", {})
         if "sci" in spectrum or "sce" in spectrum:
+            halves = {name: spectrum[name] for name in ("sci", "sce") if isinstance(spectrum.get(name), Mapping)}
             of_both = {
                 key: value for key, value in given.items() if key in ("specular_trap", "reflectance_uncertainty")
             }
+            if any("uncertainty" in half for half in halves.values()):
+                of_both.pop("reflectance_uncertainty", None)
             yield from self._of_block(("spectrum",), spectrum, of_both)
             of_each = {key: value for key, value in given.items() if key in ("scale", "incidence")}
-            for name in ("sci", "sce"):
-                if isinstance(spectrum.get(name), Mapping):
-                    yield from self._of_block(("spectrum", name), spectrum[name], of_each)
+            for name, half in halves.items():
+                yield from self._of_block(("spectrum", name), half, of_each)
             return
         accepted = accepted_by_spectrum("lab" if "lab" in spectrum else "file")
         if spectrum.get("geometry", given.get("geometry")) != "sce":
@@ -125,12 +129,37 @@ def load_defaults(folder: Path) -> Defaults:
     scene = found.content.get("scene")
     if scene is not None:
         try:
+            refuse_scene_outside(path, scene, folder)
+        except InputError as refusal:
+            raise found.refusal("scene", refusal.problem, refusal.found, refusal.accepted) from None
+        try:
             load_scene(scene, folder)
         except BrdfpipeError as error:
             raise found.refusal("scene", str(error)) from None
         if is_file(scene):
             found.content["scene"] = str((folder / scene).resolve())
     return Defaults(path, found.content, found.lines)
+
+
+def refuse_scene_outside(path: Path, scene: str, catalogue: Path) -> None:
+    """Refuse a file of a scene that is not in the folder of the catalogue.
+
+    Parameters
+    ----------
+    path : of the description that names the scene, by a path from its own folder
+    scene : a file, or the name of a shipped scene
+    catalogue : folder of the catalogue
+
+    Raises
+    ------
+    InputError : naming the description, the file and what is accepted.
+    """
+    if not is_file(scene):
+        return
+    target = documents.resolved(path.parent / scene)
+    if target is None or not target.is_relative_to(catalogue.resolve()):
+        found, accepted = repr(scene), "a file in the catalogue, or the name of a shipped scene"
+        raise InputError(path, "leads outside the catalogue", where="scene", found=found, accepted=accepted)
 
 
 def origins(content: Mapping[str, Any], written: Mapping[str, Any], inherited: frozenset[str]) -> list[list[str]]:

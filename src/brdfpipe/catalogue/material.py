@@ -10,11 +10,11 @@ from typing import Any
 from brdfpipe import documents, installation
 from brdfpipe.catalogue import material_keys
 from brdfpipe.catalogue.calibration import run_file
-from brdfpipe.catalogue.defaults import Defaults, origins
+from brdfpipe.catalogue.defaults import Defaults, origins, refuse_scene_outside
 from brdfpipe.catalogue.names import DEFAULTS, DESCRIPTION, CatalogueError, check_name
 from brdfpipe.descriptions import reading
 from brdfpipe.errors import BrdfpipeError, InputError
-from brdfpipe.scenes.scene import Scene, is_file, load_scene
+from brdfpipe.scenes.scene import Scene, load_scene
 
 FILE_PARTS = ("surface", "index", "spectrum", "multiangle", "table")
 """Parts of a description that may name a raw file."""
@@ -119,11 +119,7 @@ def _scene_of(path: Path, content: Mapping[str, Any], config: Mapping[str, Any])
     """The scene that a description names, or that of the catalogue or the configuration."""
     if "scene" not in content:
         return load_scene(config["scene"])
-    if is_file(content["scene"]):
-        target = documents.resolved(path.parent / content["scene"])
-        if target is None or not target.is_relative_to(path.parent.parent.resolve()):
-            found, accepted = repr(content["scene"]), "a file in the catalogue, or the name of a shipped scene"
-            raise InputError(path, "leads outside the catalogue", where="scene", found=found, accepted=accepted)
+    refuse_scene_outside(path, content["scene"], path.parent.parent)
     try:
         return load_scene(content["scene"], path.parent)
     except BrdfpipeError as error:
