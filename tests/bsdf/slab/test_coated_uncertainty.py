@@ -121,3 +121,34 @@ def test_facets_of_a_scan_and_the_inputs_that_state_nothing_are_named(coat: xr.D
         spectrum=samples.spectrum(0.3),
     )
     assert exact.attrs[NOT_STATED] == "facets, base facets, index, base index, transmittance, spectrum, model"
+
+
+def test_a_relief_with_a_lay_that_both_faces_have_is_no_input_of_its_own(coat: xr.Dataset) -> None:
+    with_lay = facets.analytic("beckmann", a_x=0.1, a_y=0.2)
+    changes = uncertainty(
+        built(coat),
+        facets=with_lay,
+        base_facets=with_lay,
+        index=optics.refractive_index(1.5),
+        base_index=optics.refractive_index(1.7),
+        interior=interior.ingest({"thickness": 0.1}),
+        spectrum=samples.spectrum(0.3),
+    )
+    assert changes.attrs[NOT_STATED] == "facets, index, base index, transmittance, spectrum, model"
+
+
+def test_an_opaque_coat_without_uncertainty_of_its_transmittance_has_no_change_by_it(coat: xr.Dataset) -> None:
+    index = {"coat_index": 1.5, "index": 1.7}
+    opaque = {"thickness": 0.1, "internal_transmittance": 0, "transmittance_uncertainty": 0}
+    changes = uncertainty(
+        coated.build(coat, coat, **index, spectrum=samples.spectrum(0.3), internal_transmittance=0.0),
+        facets=coat,
+        base_facets=coat,
+        index=optics.refractive_index(1.5),
+        base_index=optics.refractive_index(1.7),
+        interior=interior.ingest(opaque),
+        spectrum=samples.spectrum(0.3),
+    )
+    assert changes["uncertainty_source"].values.tolist() == ["transmittance"]
+    for name in changes.data_vars:
+        assert not np.any(changes[name].values), name

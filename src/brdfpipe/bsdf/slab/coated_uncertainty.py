@@ -82,17 +82,18 @@ def uncertainty(
         masking=str(bsdf.attrs["masking"]),
         wavelength=None if spectrum is not None else bsdf["wavelength"].values,
     )
-    changes = list(_changes(_CoarseBody.of(bsdf, given), facets is base_facets, index, interior))
+    one_relief = facets is base_facets
+    changes = list(_changes(_CoarseBody.of(bsdf, given), one_relief, index, interior))
     stated = {change.source for change in changes}
-    missing = [name for name in _expected(given) if name not in stated]
+    missing = [name for name in _expected(given, one_relief) if name not in stated]
     return vocabulary.label(stacked(changes).assign_attrs({NOT_STATED: ", ".join(missing)}), "uncertainty")
 
 
-def _expected(given: CoatedBody) -> Iterator[str]:
+def _expected(given: CoatedBody, one_relief: bool) -> Iterator[str]:
     """Sources that such a body has; no reference solution states the error of its model."""
     if given.surfaces[0] is not None:
         yield "facets"
-    if given.surfaces[1] is not None and given.faces[1] is not given.faces[0]:
+    if given.surfaces[1] is not None and not one_relief:
         yield BASE_FACETS
     yield "index"
     yield "base index"
@@ -177,7 +178,8 @@ def _changes(coarse: _CoarseBody, one_relief: bool, index: xr.Dataset, interior:
         u, mean = float(interior["internal_transmittance_u"].mean()), float(body.inside.mean())
         # Less light passes: above 1 there is no transmittance.
         darker = replace(body, inside=np.clip(body.inside - u, 0.0, 1.0))
-        yield Change(TRANSMITTANCE, differences(darker, max(1 - u / max(mean, u), _LEAST_FACTOR)))
+        factor = max(1 - u / max(mean, u), _LEAST_FACTOR) if u > 0 else 1.0
+        yield Change(TRANSMITTANCE, differences(darker, factor))
     spectrum = body.spectrum
     if spectrum is not None and "total_reflectance_u" in spectrum:
         more = spectrum["total_reflectance"] + spectrum["total_reflectance_u"]
