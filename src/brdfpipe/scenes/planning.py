@@ -21,7 +21,7 @@ from brdfpipe.scenes.experience import CERTAINTY, NONE, Experience
 from brdfpipe.scenes.features import features, in_spreads
 from brdfpipe.scenes.ladders import FULLEST, LADDERS, Candidate
 from brdfpipe.scenes.model_inputs import ModelInputs
-from brdfpipe.scenes.numerics import numerics_for
+from brdfpipe.scenes.numerics import FINE, numerics_for
 
 
 class ToleranceError(BrdfpipeError):
@@ -139,6 +139,9 @@ def plan(
         )
     judged = judge(inputs.structures, found, usable)
     numerics, numerical_error = numerics_for(metric, tolerance, inputs.lay)
+    if numerical_error and achievable(found, usable, tolerance - numerical_error) is not None:
+        # The error of the fullest model and that of quick numerics together would exceed the tolerance.
+        numerics, numerical_error = FINE, 0.0
     choice = chosen(judged, tolerance - numerical_error)
     result = plan_dataset(
         judged,
