@@ -24,7 +24,7 @@ from brdfpipe.rig.frames import read_run
 from brdfpipe.rig.plan import Plan
 from brdfpipe.store import save_dataset
 
-TEXT = small_rig.PLAN.replace("[500, 550]", "[500]") + "runs: [sample]\n"
+TEXT = small_rig.PLAN.replace("[500, 550]", "[500]") + "runs: [sample]\nbad_frames: accept\n"
 
 
 def run(*arguments, **options):

@@ -258,10 +258,14 @@ def test_editing_the_description_rebuilds_the_report_alone(folder: Path, results
     assert of_first == {"first/report.html", "first/summary.nc"}
 
 
-def test_writing_out_a_default_rebuilds_nothing(folder: Path, results: Path) -> None:
+def test_writing_out_a_default_computes_no_dataset(folder: Path, results: Path) -> None:
+    """The page alone is written again, which says that the value is now from material.yaml, and the catalogue."""
     build(folder, results)
+    before = {path: path.stat().st_mtime_ns for path in (results / "first").glob("*.nc")}
     with (folder / "first" / "material.yaml").open("a") as description:
         description.write("model: {masking: auto, multiple_scattering: auto}\n")
+    assert build(folder, results).jobs == 2
+    assert {path: path.stat().st_mtime_ns for path in before} == before
     assert build(folder, results).jobs == 0
 
 

@@ -252,6 +252,12 @@ def test_the_digest_of_a_stage_covers_every_module_that_its_run_loads(tmp_path: 
     faces = {"facets": "flat_facets", **same("psd", "interior", "index")}
     run("sheet", faces, same("sheet"), {"masking": "height-correlated", "optics": "auto"})
     run("sheet_uncertainty", faces | same("sheet"), same("sheet_uncertainty"))
+    run("base_surface", raw, {"surface": "base"}, examples.spec("abs-grain", "surface"))
+    run("base_facets", {}, {"facets": "base_facets"}, {"distribution": "flat"})
+    run("base_index", {}, {"index": "base_index"}, {"index": 1.8})
+    body = {**same("interior", "index", "spectrum", "base_facets", "base_index"), "facets": "flat_facets"}
+    run("coated", body, same("coated"), {"masking": "height-correlated"})
+    run("coated_uncertainty", body | same("coated"), same("coated_uncertainty"), {})
     run("model_error", same("surface", "facets", "predicted"), same("model_error"))
     if solution == "kirchhoff":
         height = samples.gaussian_surface(64, correlation=10)["height"].values

@@ -9,16 +9,12 @@ def main(input, output, params):
     inputs = {name: store.open_dataset(path, name.removeprefix("base_")) for name, path in input.items()}
     # A face of the body that has no dataset is smooth, or has the slopes of the coat.
     below = inputs["facets"] if spec.pop("base", None) == "same" else inputs.get("base_facets")
-    bsdf = build(
-        inputs["facets"],
-        below,
-        coat_index=inputs["index"],
-        index=inputs["base_index"],
-        spectrum=inputs.get("spectrum"),
-        internal_transmittance=interior.spectral(inputs["interior"]),
-        thickness=float(inputs["interior"]["thickness"]),
-        **spec,
-    )
+    indices = {"coat_index": inputs["index"], "index": inputs["base_index"]}
+    coat = {
+        "internal_transmittance": interior.spectral(inputs["interior"]),
+        "thickness": float(inputs["interior"]["thickness"]),
+    }
+    bsdf = build(inputs["facets"], below, **indices, **coat, spectrum=inputs.get("spectrum"), **spec)
     store.save_dataset(
         bsdf, output["coated"], stage="coated", material=params["material"], inputs=inputs, parameters=params["spec"]
     )

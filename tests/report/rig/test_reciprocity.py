@@ -23,13 +23,13 @@ def _flat(incidence: float, theta: np.ndarray, phi: np.ndarray, wavelength: np.n
 
 
 def _figure(
-    incidences: tuple[float, ...] = INCIDENCES, *, wrong: float | None = None, symmetric: bool = True, **options
+    incidences: tuple[float, ...] = INCIDENCES, *, wrong: float | None = None, isotropic: bool = True, **options
 ) -> Figure:
     """Of a perfect diffuser, one incidence of which may be stated 30 % too bright."""
     primary = rig_primary.measured(_flat, incidences, (500.0, 600.0), noise=0.02)
     factor = xr.where(primary["incidence"] == wrong, 1.3, 1.0) if wrong is not None else 1.0
     brdf = (primary["brdf"] * factor).assign_attrs(primary["brdf"].attrs)
-    smoothed = smoothing.smooth(primary.assign(brdf=brdf.transpose(*primary["brdf"].dims)), symmetric=symmetric)
+    smoothed = smoothing.smooth(primary.assign(brdf=brdf.transpose(*primary["brdf"].dims)), isotropic=isotropic)
     return reciprocity_figure.figure(completion.complete(smoothed, **options), smoothed)
 
 
@@ -104,7 +104,7 @@ def test_all_bars_are_within_their_frame(wrong: float | None) -> None:
 
 
 def test_the_two_ways_of_a_surface_with_a_lay_need_not_agree() -> None:
-    figure = _figure(symmetric=False)
+    figure = _figure(isotropic=False)
     assert figure.svg.count('<svg class="fig"') == 1
     assert "For a surface with a lay they need not be equal" in figure.note
 

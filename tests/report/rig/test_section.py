@@ -373,8 +373,10 @@ def test_a_remark_names_fits_with_few_cells(run: Datasets) -> None:
 def test_a_remark_states_that_the_two_sides_of_the_plane_of_incidence_differ(bench: Rig) -> None:
     leaning = _run(bench, lean=0.05)
     remark = _coverage(leaning).remark
-    assert "`rig.smoothing.symmetric: false`" in remark
-    free = smoothing.smooth(leaning["primary-reflection"], strength=5.0, about="mirror", symmetric=False)
+    assert "`rig.smoothing.isotropic: false` and `mirror_symmetric: false`" in remark
+    free = smoothing.smooth(
+        leaning["primary-reflection"], strength=5.0, about="mirror", isotropic=False, mirror_symmetric=False
+    )
     assert "symmetric" not in _coverage({**leaning, "smoothed-reflection": free}).remark
 
 
