@@ -16,7 +16,7 @@ from brdfpipe import store
 from brdfpipe.catalogue import material_keys
 from brdfpipe.descriptions import reading
 from brdfpipe.errors import InputError
-from brdfpipe.prediction import RAW, READS, predict
+from brdfpipe.prediction import RAW, READS, _Datasets, predict
 
 
 def arguments(folder: Path) -> dict[str, object]:
@@ -66,6 +66,17 @@ def test_a_dataset_stands_for_its_file(tmp_path: Path) -> None:
     assert bsdf.bsdf.albedo(8.0, wavelength=550).item() == pytest.approx(0.4, abs=1e-6)
 
 
+def test_keys_that_later_stages_read_are_accepted_beside_a_dataset(tmp_path: Path) -> None:
+    surface = samples.surface(np.zeros((4, 4)))
+    given = {"file": surface, "isotropic": False, "noise": 0.001, "scans": [{"file": surface}]}
+    written = _Datasets(tmp_path).stored(given, "surface")
+    assert written == {**given, "file": written["file"], "scans": [{"file": written["scans"][0]["file"]}]}
+    assert Path(written["file"]).is_file()
+    given["scans"] = [{"file": surface, "azimuth": 90}]
+    with pytest.raises(InputError, match=r"surface\.scans: .*found azimuth; accepted: the dataset alone"):
+        _Datasets(tmp_path).stored(given, "surface")
+
+
 def test_a_finish_and_a_colour_need_no_file() -> None:
     bsdf = predict(
         {"distribution": "ggx", "a": 0.2},
@@ -92,6 +103,16 @@ def test_a_spectrum_alone_is_a_perfect_diffuser() -> None:
         ),
         ({"surfaces": "grain.x3p"}, "unknown key 'surfaces'"),
         ({"spectrum": samples.surface(np.zeros((4, 4)))}, "spectrum: .*kind 'surface'; accepted: kind 'spectrum'"),
+        (
+            {"surface": {"file": samples.surface(np.zeros((4, 4))), "lambda_s": 20}},
+            "surface: .*used as it is.*found lambda_s",
+        ),
+        (
+            {"spectrum": {"sci": {"file": samples.spectrum(0.3)}, "sce": {"file": samples.spectrum(0.2)}}},
+            "spectrum.sci: no dataset is accepted here; found a dataset; accepted: the path of a file",
+        ),
+        ({"coat": {"base": {"surface": samples.surface(np.zeros((4, 4)))}}}, "coat.base.surface: .*the path of a file"),
+        ({"slab": {"back": {"file": samples.surface(np.zeros((4, 4)))}}}, "slab.back: .*the path of a file"),
         ({"rig": {}}, "brdfpipe build"),
         ({}, "surface"),
     ],

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections import defaultdict
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
@@ -76,6 +76,25 @@ RAW: Mapping[str, Mapping[str, str]] = {
 }
 """Stage → the raw files that it reads: name of the input → part of the description."""
 
+_KINDS: Mapping[str, str] = {
+    "surface": "surface",
+    "surface.scans": "surface",
+    "index": "index",
+    "spectrum": "spectrum",
+    "multiangle": "multiangle",
+    "table": "bsdf",
+}
+"""Key in which a dataset may stand for a file → kind of the dataset."""
+
+_KEYS_AFTER_READING: Mapping[str, tuple[str, ...]] = {
+    key: tuple(dict.fromkeys([*others, *(name for stage in stages for name in declared.read_by(stage))]))
+    for key, declared, stages, others in (
+        ("surface", material_keys.MeasuredSurface, ("facets", "psd"), ("scans",)),
+        ("multiangle", material_keys.MultiangleFile, ("flake", "flake_uncertainty"), ()),
+    )
+}
+"""Key of a file → keys beside it that later stages read, so that they have an effect beside a dataset too."""
+
 _OF_UNCERTAINTY = ("model_error", "uncertainty", "sheet_uncertainty", "coated_uncertainty", "flake_uncertainty")
 
 
@@ -91,7 +110,8 @@ def predict(
     """The BSDF that a build would make of the same inputs.
 
     Every argument is a key of ``material.yaml``, with its defaults: docs/materials.md explains them. In place of a mapping
-    ``{"file": path}`` a path alone is accepted, and in place of a path a dataset of that kind.
+    ``{"file": path}`` a path alone is accepted, and in place of a path of ``surface`` (and its ``scans``), ``index``, ``spectrum``,
+    ``multiangle`` or ``table`` a dataset of that kind, without keys that say how a file is read.
 
     Parameters
     ----------
@@ -196,11 +216,21 @@ class _Datasets:
         self.paths: set[Path] = set()
 
     def stored(self, value: Any, key: str) -> Any:
-        """A description with the paths of its datasets in their places."""
+        """A description with the paths of its datasets in their places.
+
+        Raises
+        ------
+        InputError : a dataset where only a file is accepted, or of another kind; or keys beside it that say how a file is read.
+        """
         if isinstance(value, xr.Dataset):
             return self._path(value, key)
         if isinstance(value, Mapping):
-            return {str(name): self.stored(item, key) for name, item in value.items()}
+            written = {
+                str(name): self.stored(item, key if name == "file" else f"{key}.{name}") for name, item in value.items()
+            }
+            if isinstance(value.get("file"), xr.Dataset):
+                _refuse_keys_of_reading(written.keys() - {"file"}, key)
+            return written
         if isinstance(value, list | tuple):
             return [self.stored(item, key) for item in value]
         if isinstance(value, np.ndarray | np.generic):
@@ -208,7 +238,10 @@ class _Datasets:
         return os.fspath(value) if isinstance(value, os.PathLike) else value
 
     def _path(self, dataset: xr.Dataset, key: str) -> str:
-        kind, accepted = dataset.attrs.get("kind"), {"table": "bsdf", "slab": "", "coat": ""}.get(key, key)
+        kind, accepted = dataset.attrs.get("kind"), _KINDS.get(key)
+        if accepted is None:
+            problem = "no dataset is accepted here"
+            raise InputError(NAME, problem, where=key, found="a dataset", accepted="the path of a file")
         if kind != accepted:
             found = f"a dataset of kind {kind!r}" if kind else "a dataset without the attribute `kind`"
             raise InputError(
@@ -216,9 +249,19 @@ class _Datasets:
             )
         vocabulary.validate(dataset, kind, key)
         path = self._folder / f"given-{len(self.paths)}.nc"
-        store.save_dataset(dataset, path, stage=key, material="material", inputs={}, parameters={})
+        stage = key.partition(".")[0]
+        store.save_dataset(dataset, path, stage=stage, material="material", inputs={}, parameters={})
         self.paths.add(path)
         return str(path)
+
+
+def _refuse_keys_of_reading(names: Iterable[str], key: str) -> None:
+    """Refuse keys that would have no effect, because the stage that reads the file does not run."""
+    later = _KEYS_AFTER_READING.get(key, ())
+    if unused := sorted(set(names).difference(later)):
+        problem = "a dataset is used as it is; these keys say how a file is read"
+        accepted = f"the dataset alone{', or with ' if later else ''}{', '.join(later)}"
+        raise InputError(NAME, problem, where=key, found=", ".join(unused), accepted=accepted)
 
 
 def _description(key: str, value: Any) -> Any:

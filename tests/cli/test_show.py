@@ -8,10 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 import samples
+import xarray as xr
 from click.testing import CliRunner, Result
 
 from brdfpipe import store
-from brdfpipe.cli import terminal_plots
+from brdfpipe.cli import summaries, terminal_plots
 from brdfpipe.cli.main import main
 
 PROJECT = Path(__file__).parents[2]
@@ -82,3 +83,28 @@ def test_a_relief_shows_missing_heights() -> None:
     heights = np.add.outer(np.zeros(8), np.arange(8.0))
     heights[:, 0] = np.nan
     assert terminal_plots.relief(heights)[0] == "?  ░▒▓██"
+    assert terminal_plots.relief(np.full((3, 4), np.nan)) == ["no height to show"]
+
+
+def test_values_by_name_have_no_curve() -> None:
+    named = xr.Dataset({"share": ("sample", [1.0, 2.0, 3.0])}, {"sample": ["a", "b", "c"]})
+    assert summaries.plot(named) == []
+    assert len(summaries.plot(named.assign_coords(sample=[1.0, 2.0, 4.0]))) > 10
+
+
+@pytest.mark.parametrize("reverse", [False, True])
+def test_a_peak_between_two_columns_is_drawn_to_its_top(reverse: bool) -> None:
+    x, y = np.array([0.0, 40.001, 40.002, 40.003, 90.0]), np.array([1.0, 1.0, 1e4, 1.0, 1.0])
+    order = slice(None, None, -1 if reverse else 1)
+    lines = terminal_plots.curves(x[order], [y[order]], "x", "y", log=True)
+    rows = [line.split("┤")[1] for line in lines[1:11]]
+    (column,) = [place for place, mark in enumerate(rows[0]) if mark != "⠀"]
+    assert column == pytest.approx(40 / 90 * 60, abs=1)
+    assert all(row[column] != "⠀" for row in rows)
+
+
+def test_a_glossy_lobe_has_its_height() -> None:
+    bsdf = samples.beckmann_bsdf(0.002)
+    peaks = [float(bsdf.bsdf.evaluate(angle, 180, angle, 0).max()) for angle in (0.0, 30.0, 60.0)]
+    top = float(summaries.plot(bsdf)[1].split("┤")[0])
+    assert top == pytest.approx(max(peaks), rel=0.02)

@@ -7,7 +7,7 @@ import pytest
 import samples
 
 from brdfpipe.bsdf import lambert_gauss
-from brdfpipe.errors import BrdfpipeError, InputError
+from brdfpipe.errors import BrdfpipeError, InputError, VocabularyError
 from brdfpipe.figures import bsdf_plots
 from brdfpipe.figures.bsdf_plots import KINDS, BSDFPlots
 
@@ -80,3 +80,9 @@ def test_refusals(tmp_path, monkeypatch):
     monkeypatch.setattr(bsdf_plots, "find_spec", lambda name: None)
     with pytest.raises(BrdfpipeError, match=r"pip install 'brdfpipe\[plot\]'"):
         plots()
+
+
+@pytest.mark.parametrize("kind", ["lobe", "map"])
+def test_a_figure_of_one_incidence_refuses_several(kind: str):
+    with pytest.raises(VocabularyError, match="lobe and map show one angle of incidence; found 2"):
+        plots()(kind, theta_i=[20, 50])

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import click
+from packaging.requirements import Requirement
 
 from brdfpipe.cli.console import exit_on_error
 from brdfpipe.errors import BrdfpipeError
@@ -92,32 +93,36 @@ def _installation() -> Iterator[Finding]:
         yield Finding("brdfpipe", "fail", f"{error}; install it again")
 
 
-def _requirements() -> Iterator[tuple[str, str, str]]:
-    """Distribution, its lowest version or "", and the extra it belongs to or "", of every requirement."""
-    for text in requires("brdfpipe") or []:
-        name = re.match(r"[\w.-]+", text)
-        lowest, extra = re.search(r">=\s*([\d.]+)", text), re.search(r"extra\s*==\s*['\"]([\w-]+)", text)
-        yield name[0] if name else text, lowest[1] if lowest else "", extra[1] if extra else ""
+def _requirements(extra: str = "") -> list[Requirement]:
+    """What the package needs on this machine, or what an extra needs beside that; empty where the distribution is missing."""
+    try:
+        declared = [Requirement(text) for text in requires("brdfpipe") or []]
+    except PackageNotFoundError:
+        return []
+    return [one for one in declared if _applies(one, extra) and not (extra and _applies(one, ""))]
 
 
-def _problem(name: str, lowest: str) -> str:
+def _applies(requirement: Requirement, extra: str) -> bool:
+    return requirement.marker is None or requirement.marker.evaluate({"extra": extra})
+
+
+def _problem(requirement: Requirement) -> str:
     """What is wrong with an installed library; empty if nothing is."""
     try:
-        present = version(name)
+        present = version(requirement.name)
     except PackageNotFoundError:
-        return f"{name} is not installed"
-    too_old = lowest and _numbers(present) < _numbers(lowest)
-    return f"{name} {present} is older than {lowest}" if too_old else ""
-
-
-def _numbers(text: str) -> tuple[int, ...]:
-    return tuple(int(part) for part in re.findall(r"\d+", text)[:3])
+        return f"{requirement.name} is not installed"
+    accepted = requirement.specifier
+    return "" if accepted.contains(present, prereleases=True) else f"{requirement.name} {present} is not {accepted}"
 
 
 def _libraries() -> Iterator[Finding]:
-    needed = [(name, lowest) for name, lowest, extra in _requirements() if not extra]
-    problems = [problem for name, lowest in needed if (problem := _problem(name, lowest))]
-    yield Finding("libraries", "fail" if problems else "ok", "; ".join(problems) or f"all {len(needed)} as needed")
+    needed = _requirements()
+    problems = [problem for one in needed if (problem := _problem(one))]
+    if needed:
+        yield Finding("libraries", "fail" if problems else "ok", "; ".join(problems) or f"all {len(needed)} as needed")
+    else:
+        yield Finding("libraries", "note", "not checked: only an installed package declares them")
     shown = ("numpy", "scipy", "numba", "xarray", "netCDF4", "snakemake")
     yield Finding("versions", "ok", ", ".join(f"{name} {_version(name)}" for name in shown))
 
@@ -131,11 +136,10 @@ def _version(name: str) -> str:
 
 def _extras() -> Iterator[Finding]:
     for extra, adds in EXTRAS.items():
-        problems = [
-            problem for name, lowest, of in _requirements() if of == extra and (problem := _problem(name, lowest))
-        ]
-        advice = f"{adds}: pip install 'brdfpipe[{extra}]'" if problems else adds
-        yield Finding(f"extra {extra}", "note" if problems else "ok", advice)
+        needed = _requirements(extra)
+        complete = bool(needed) and not any(map(_problem, needed))
+        advice = adds if complete else f"{adds}: pip install 'brdfpipe[{extra}]'"
+        yield Finding(f"extra {extra}", "ok" if complete else "note", advice)
 
 
 def _machine(results: Path) -> Iterator[Finding]:

@@ -204,6 +204,7 @@ def plot(dataset: xr.Dataset) -> list[str]:
             and value.size > 2
             and np.issubdtype(value.dtype, np.number)
             and value.dims[0] in dataset.coords
+            and np.issubdtype(dataset[value.dims[0]].dtype, np.number)
         ):
             along = dataset[value.dims[0]]
             label, unit = str(value.attrs.get("long_name", name)), value.attrs.get("units", "1")
@@ -215,7 +216,7 @@ def plot(dataset: xr.Dataset) -> list[str]:
 def _cuts(bsdf: xr.Dataset) -> list[str]:
     from brdfpipe.report.plots import bsdf_sections
 
-    theta = np.linspace(-89.0, 89.0, 359)
+    theta = np.unique(np.concatenate([bsdf_sections.cut_angles(bsdf, angle) for angle in _INCIDENCES]))
     polar, turn = bsdf_sections.in_plane(theta)
     (plane, *_) = bsdf_sections.planes(bsdf)
     several = [bsdf_sections.value(bsdf, plane, angle, polar, turn) for angle in _INCIDENCES]

@@ -22,11 +22,14 @@ def curves(x: Array, several: Sequence[Array], x_label: str, y_label: str, *, lo
 
     Parameters
     ----------
-    x : (points,) increasing
+    x : (points,) in any order; points without a finite x are left out
     several : values of each curve (points,); what is not finite, or not positive on a logarithmic axis, is left out
     x_label, y_label : names of the axes with their units
     log : whether the vertical axis is logarithmic; it then shows at most six decades
     """
+    order = np.argsort(x)
+    order = order[np.isfinite(x[order])]
+    x, several = x[order], [y[order] for y in several]
     heights = [np.where(np.isfinite(y) & ((y > 0) | (not log)), y, np.nan).astype(float) for y in several]
     if log:
         heights = [np.log10(y) for y in heights]
@@ -38,15 +41,16 @@ def curves(x: Array, several: Sequence[Array], x_label: str, y_label: str, *, lo
     low = max(float(shown.min()), high - 6) if log else float(shown.min())
     span = high - low if high > low else 1.0
     dots = np.zeros((4 * _HEIGHT, 2 * _WIDTH), dtype=bool)
-    at = np.linspace(x[0], x[-1], 2 * _WIDTH)
     for y in heights:
-        rows = np.round((4 * _HEIGHT - 1) * (1 - (np.interp(at, x, y) - low) / span))
-        # From column to column a curve has no gap.
+        lowest, highest = _extremes_by_column(x, y)
+        tops, bottoms = (np.round((4 * _HEIGHT - 1) * (1 - (end - low) / span)) for end in (highest, lowest))
         for column in range(2 * _WIDTH):
-            ends = rows[[max(column - 1, 0), column]]
-            if np.isfinite(ends).all() and ends[1] < 4 * _HEIGHT:
-                first, last = sorted(int(np.clip(end, 0, 4 * _HEIGHT - 1)) for end in ends)
-                dots[first : max(last, first + 1), column] = True
+            # From column to column a curve has no gap.
+            before = max(column - 1, 0)
+            top, bottom = np.fmin(tops[column], bottoms[before]), np.fmax(bottoms[column], tops[before])
+            if tops[column] < 4 * _HEIGHT:
+                first, last = (int(np.clip(end, 0, 4 * _HEIGHT - 1)) for end in (top, bottom))
+                dots[first : last + 1, column] = True
     cells = dots.reshape(_HEIGHT, 4, _WIDTH, 2).transpose(0, 2, 1, 3)
     codes = 0x2800 + (cells * _DOTS).sum(axis=(2, 3))
     marks = ["" for _ in range(_HEIGHT)]
@@ -60,8 +64,25 @@ def curves(x: Array, several: Sequence[Array], x_label: str, y_label: str, *, lo
     return lines
 
 
+def _extremes_by_column(x: Array, y: Array) -> tuple[Array, Array]:
+    """The smallest and the largest value of a curve in each column of dots: a peak between two columns must not be lost.
+
+    They are those of the points that fall into the column, and of the interpolation at its middle; NaN where there is none.
+    """
+    columns = 2 * _WIDTH
+    lowest = np.interp(np.linspace(x[0], x[-1], columns), x, y)
+    highest = lowest.copy()
+    width = x[-1] - x[0]
+    column = np.round((x - x[0]) / (width if width > 0 else 1) * (columns - 1)).astype(int)
+    np.fmin.at(lowest, column, y)
+    np.fmax.at(highest, column, y)
+    return lowest, highest
+
+
 def relief(heights: Array) -> list[str]:
     """A height map (rows, columns) in shades, the highest places full; a missing height is a question mark."""
+    if not np.isfinite(heights).any():
+        return ["no height to show"]
     rows, columns = heights.shape
     down = min(_HEIGHT * 2, rows)
     across = min(_WIDTH, columns)

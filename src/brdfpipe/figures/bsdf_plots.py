@@ -123,7 +123,7 @@ class BSDFPlots:
     def lobe(self, theta_i: float = 45.0, *, wavelength: float | None = None) -> BSDFFigure:
         """The light of one incidence in three dimensions: the distance from the origin is the BSDF on a logarithmic scale."""
         figure, axes, shown = self._in_planes("3d", wavelength)
-        (incidence,) = _incidences(theta_i)
+        incidence = _one_incidence(theta_i)
         for ax, plane in zip(axes, shown.planes, strict=True):
             polar, turn = np.meshgrid(_denser_near(incidence, 90.0), np.r_[0:181:3], indexing="ij")
             turn = np.concatenate([-turn[:, :0:-1], turn], axis=1)
@@ -160,7 +160,7 @@ class BSDFPlots:
         about_mirror : half width about the mirror direction [degree] of the part that is shown, for a narrow lobe; by default the hemisphere
         """
         figure, axes, shown = self._in_planes("rectilinear", wavelength)
-        (incidence,) = _incidences(theta_i)
+        incidence = _one_incidence(theta_i)
         peak = math.sin(math.radians(incidence))
         reach = (
             1.0
@@ -292,6 +292,13 @@ def _incidences(theta_i: ArrayLike) -> list[float]:
     if not angles.size or angles.max() >= 90:
         raise VocabularyError("theta_i of a figure: angles from 0 to below 90 degree are accepted")
     return [float(angle) for angle in angles]
+
+
+def _one_incidence(theta_i: ArrayLike) -> float:
+    angles = _incidences(theta_i)
+    if len(angles) > 1:
+        raise VocabularyError(f"lobe and map show one angle of incidence; found {len(angles)}")
+    return angles[0]
 
 
 def _range(values: Sequence[Array]) -> tuple[float, float]:
