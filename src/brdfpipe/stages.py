@@ -318,6 +318,26 @@ def _block(path: str, only: Sequence[str] = ()) -> StageKeys:
     return StageKeys(tuple(f"{path}.{key}" for key in only) or (path,), (), read)
 
 
+def _spectrum(subject: Subject, wildcards: Wildcards) -> dict[str, Any]:
+    """The block ``spectrum``; what a file inherits from the catalogue is a fallback, which a statement in the file overrules."""
+
+    def with_fallbacks(block: Mapping[str, Any], place: str) -> dict[str, Any]:
+        names = [
+            name
+            for name in ("geometry", "incidence", "specular_trap")
+            if f"{place}.{name}" in subject.owner.inherited  # type: ignore[union-attr]
+        ]
+        return {**block, "fallbacks": names} if names and "file" in block else dict(block)
+
+    spectrum = with_fallbacks(subject.section("spectrum"), "spectrum")
+    return spectrum | {
+        half: with_fallbacks(spectrum[half], f"spectrum.{half}") for half in ("sci", "sce") if half in spectrum
+    }
+
+
+_SPECTRUM = StageKeys(("spectrum",), (), _spectrum)
+
+
 def _read_by(stage: str, *declarations: type[Keys]) -> tuple[str, ...]:
     """The keys whose declaration names a stage."""
     return tuple(dict.fromkeys(key for declaration in declarations for key in declaration.read_by(stage)))
@@ -681,7 +701,7 @@ _STAGES = (
         "spectrum",
         "the total reflectance, measured or recovered from a colour",
         when=_has("spectrum"),
-        keys=_block("spectrum"),
+        keys=_SPECTRUM,
         of_prediction=True,
     ),
     Stage(

@@ -15,6 +15,7 @@ from brdfpipe.catalogue.raw_reading import describe_files
 from brdfpipe.cli.main import main
 from brdfpipe.errors import InputError
 from brdfpipe.report.material.page import material_page
+from brdfpipe.spectra.ingestion import ingest
 from brdfpipe.stages import STAGES, Subject
 
 DEFAULTS = """\
@@ -224,6 +225,46 @@ def test_the_scale_is_for_files_that_do_not_state_theirs(tmp_path: Path) -> None
     (folder / "m" / "r.csv").write_text("nm,R\n" + "".join(f"{nm},{0.2 * nm / 4:g}\n" for nm in range(400, 701, 10)))
     loaded = catalogue.load(folder)
     assert "0.2 to 0.35" in describe_files(loaded, loaded["m"])[0]
+
+
+REFLECTANCES = "".join(f"{nm},0.2\n" for nm in range(400, 701, 10))
+
+
+@pytest.mark.parametrize(
+    ("content", "own", "geometry", "incidence"),
+    [
+        ("nm,R\n", "", "sci", 8),
+        ("# Specular component: SCE\nnm,R\n", "", "sce", 8),
+        ("# Specular component: SCI\nnm,R\n", "", "sci", 8),
+        ("# light from 45 degree\nnm,R\n", "", "sci", 45),
+        ("nm,R SCE\n", "", "sce", 8),
+        ("# Specular component: SCE\nnm,R\n", ", geometry: sci", "sci", 8),
+    ],
+)
+def test_what_a_spectrum_file_states_overrules_the_catalogue_and_not_the_material(
+    tmp_path: Path, content: str, own: str, geometry: str, incidence: float
+) -> None:
+    defaults = "spectrum: {geometry: sci, incidence: 8, scale: fraction}\n"
+    folder = write(tmp_path, defaults, m=f"spectrum: {{file: r.csv{own}}}\n")
+    (folder / "m" / "r.csv").write_text(content + REFLECTANCES)
+    loaded = catalogue.load(folder)
+    spec = STAGES["spectrum"].parameters(Subject(loaded["m"], loaded.config))
+    spectrum = ingest(spec, folder / "m" / "r.csv")
+    assert (spectrum.attrs["geometry"], spectrum.attrs["theta_i"]) == (geometry, incidence)
+    assert ("warnings" in spectrum.attrs) == bool(own), "of a contradiction of the material alone"
+
+
+def test_a_file_with_the_specular_included_inherits_no_gloss_trap(tmp_path: Path) -> None:
+    defaults = "spectrum: {geometry: sce, specular_trap: 4, scale: fraction}\n"
+    folder = write(tmp_path, defaults, m="spectrum: {file: r.csv}\n")
+    (folder / "m" / "r.csv").write_text(REFLECTANCES)
+    loaded = catalogue.load(folder)
+    spec = STAGES["spectrum"].parameters(Subject(loaded["m"], loaded.config))
+    traps = {}
+    for stated in ("SCI", "SCE"):
+        (folder / "m" / "r.csv").write_text(f"# Specular component: {stated}\nnm,R\n{REFLECTANCES}")
+        traps[stated] = ingest(spec, folder / "m" / "r.csv").attrs.get("specular_trap")
+    assert traps == {"SCI": None, "SCE": 4}
 
 
 def test_a_file_whose_format_has_a_scale_inherits_none(tmp_path: Path) -> None:

@@ -10,6 +10,7 @@ import numpy as np
 from brdfpipe.columns import Columns
 from brdfpipe.errors import InputError, abbreviated
 from brdfpipe.spectra import header_words
+from brdfpipe.spectra.header_words import KnownGeometry
 
 _MOST_NAMES = 10
 """Columns that a message lists."""
@@ -26,7 +27,7 @@ class ChosenColumns:
 
 
 def chosen(
-    table: Columns, column: int | str | None, uncertainty: int | str | None, geometry: str | None
+    table: Columns, column: int | str | None, uncertainty: int | str | None, geometry: KnownGeometry
 ) -> ChosenColumns:
     """Columns of the reflectance and of its standard uncertainty.
 
@@ -35,7 +36,7 @@ def chosen(
     table : the first column is the wavelength
     column, uncertainty : number (the wavelength is 1) or name; by default the first column that is not an uncertainty, and the next one
         if its title says so
-    geometry : ``sci`` or ``sce``, if known: a column with the other label is never taken
+    geometry : if known, a column with the other label is not taken; as a fallback only where there is another one
 
     Raises
     ------
@@ -81,7 +82,8 @@ def chosen(
         listed = abbreviated([in_words(table, i) for i in unused], _MOST_NAMES)
         sentence = f"{in_words(table, value)} was read; ignored: {listed}"
         log.history.append(f"{table.file}: {sentence}")
-        told_apart = geometry is not None and all(_stated(table, i) not in (None, geometry) for i in unused)
+        read_geometry = (_stated(table, value) if geometry.is_fallback else None) or geometry.name
+        told_apart = read_geometry is not None and all(_stated(table, i) not in (None, read_geometry) for i in unused)
         if column is None and not told_apart:
             log.warnings.append(f"{sentence}. Name the column to read with `spectrum.column` in material.yaml.")
     return replace(log, value=value, deviation=deviation)
@@ -91,11 +93,11 @@ def _stated(table: Columns, i: int) -> str | None:
     return header_words.geometry(title_of(table, i))
 
 
-def _of_geometry(table: Columns, values: Sequence[int], geometry: str | None) -> int:
+def _of_geometry(table: Columns, values: Sequence[int], geometry: KnownGeometry) -> int:
     """The first column with the label of the geometry, or else the first without any."""
-    if geometry is None:
+    if geometry.name is None:
         return values[0]
-    for label in (geometry, None):
+    for label in (geometry.name, None):
         for i in values:
             if _stated(table, i) == label:
                 return i
@@ -103,15 +105,15 @@ def _of_geometry(table: Columns, values: Sequence[int], geometry: str | None) ->
     return values[0]
 
 
-def _refuse_other_geometry(table: Columns, values: Sequence[int], geometry: str | None) -> None:
+def _refuse_other_geometry(table: Columns, values: Sequence[int], geometry: KnownGeometry) -> None:
     """Refuse columns that are labelled with the other specular component."""
     own = _stated(table, values[0])
-    if geometry is None or own in (None, geometry):
+    if not geometry.contradicts(own):
         return
-    fitting = [in_words(table, i) for i in range(1, table.values.shape[1]) if _stated(table, i) == geometry]
+    fitting = [in_words(table, i) for i in range(1, table.values.shape[1]) if _stated(table, i) == geometry.name]
     raise InputError(
         table.file,
-        f"the column is labelled {str(own).upper()}, and the description says {geometry.upper()}",
+        f"the column is labelled {str(own).upper()}, and the description says {str(geometry.name).upper()}",
         found=in_words(table, values[0]),
         accepted=f"`geometry: {own}`" + (f", or {abbreviated(fitting, _MOST_NAMES)}" if fitting else ""),
         key="spectrum.column" if fitting else "spectrum.geometry",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from typing import NamedTuple
 
 from brdfpipe.errors import InputError
 
@@ -97,6 +98,22 @@ def unusable_uncertainty(title: str, value_title: str) -> str:
     if _EXPANDED.match(title) and not _COVERAGE.search(title):
         return "it is expanded, and the title does not state the coverage factor k"
     return "its coverage factor is 0" if coverage_factor(title) <= 0 else ""
+
+
+class KnownGeometry(NamedTuple):
+    """Whether the specular component is included, as far as it is known before a file is read."""
+
+    name: str | None = None
+    """``sci`` or ``sce``; None if it is not known"""
+    is_fallback: bool = False
+    """Whether it counts only where the file states none"""
+
+    def contradicts(self, stated: str | None) -> bool:
+        """Whether a file that states this is refused."""
+        return None not in (self.name, stated) and stated != self.name and not self.is_fallback
+
+
+NOT_KNOWN = KnownGeometry()
 
 
 def geometry(words: str) -> str | None:

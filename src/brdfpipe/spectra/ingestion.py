@@ -34,7 +34,8 @@ def ingest(
     ----------
     spec : ``file`` and the keywords of :func:`read_spectrum`; or ``lab``, ``geometry``, ``incidence`` and the keywords ``illuminant``,
         ``observer``, ``method``, ``threshold``, ``seed`` of :func:`recover`. With the specular excluded, ``specular_trap`` is the half
-        angle of the instrument's gloss trap [degree]; ``reflectance_uncertainty`` is a standard uncertainty common to all wavelengths [1].
+        angle of the instrument's gloss trap [degree]; ``reflectance_uncertainty`` is a standard uncertainty common to all wavelengths [1];
+        ``fallbacks`` are the keys of a file, with ``specular_trap``, that count only where the file does not contradict them.
         Or ``sci`` and ``sce``, each with ``file`` and keywords: the sample with the specular component included and excluded
     path : path of the file, if it differs from the name in ``spec``
     index : refractive index, if known: a number or a dataset of kind ``index``. A colour with the specular included then gives a
@@ -120,6 +121,8 @@ def _ingested(
         file = options.pop("file")
         source = Path(file if path is None else path)
         dataset = read_spectrum(source, **options)
+        if "specular_trap" in options.get("fallbacks", ()) and dataset.attrs["geometry"] != "sce":
+            trap = None
         trap_attribute = _trap_attribute(trap, dataset.attrs["geometry"])
         return _warn_if_excluded(dataset, source.name, index).assign_attrs(trap_attribute)
     check_geometry("material.yaml", geometry)

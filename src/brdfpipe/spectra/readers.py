@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass, field
 from os import PathLike
 from pathlib import Path
@@ -16,6 +17,7 @@ from brdfpipe.geometry import Array
 from brdfpipe.spectra import column_choice, damage, header_words
 from brdfpipe.spectra.column_choice import in_words, title_of
 from brdfpipe.spectra.formats import registry
+from brdfpipe.spectra.header_words import KnownGeometry
 
 GEOMETRIES = ("sci", "sce")
 """Specular component included or excluded."""
@@ -58,6 +60,7 @@ def read_spectrum(
     column: int | str | None = None,
     uncertainty: int | str | None = None,
     allow_fluorescent: bool = False,
+    fallbacks: Collection[str] = (),
 ) -> xr.Dataset:
     """Read a reflectance spectrum from a file.
 
@@ -74,6 +77,7 @@ def read_spectrum(
     column : number (the wavelength is column 1) or name of the reflectance; by default the first that is not an uncertainty
     uncertainty : number or name of the column of standard uncertainties; by default the next column, if its name says so
     allow_fluorescent : accept reflectances above 1.1
+    fallbacks : of ``geometry`` and ``incidence`` those that count only where the file states none
 
     Returns
     -------
@@ -92,16 +96,17 @@ def read_spectrum(
     if scale is not None and scale not in SCALES:
         found, accepted = repr(scale)[:40], " or ".join(SCALES)
         raise InputError(path, "unknown scale", found=found, accepted=accepted, key="spectrum.scale")
-    table = registry.read(path, format, sample, geometry)
+    known = KnownGeometry(geometry, "geometry" in fallbacks)
+    table = registry.read(path, format, sample, known)
     log = _Log(table.file, list(table.notes))
     log.warn(*(f"{doubt}." for doubt in table.doubts))
     nm, note = columns.wavelengths(table, key="spectrum.file")
     log.history += [note] if note else []
-    chosen = column_choice.chosen(table, column, uncertainty, geometry)
+    chosen = column_choice.chosen(table, column, uncertainty, known)
     value, deviation = chosen.value, chosen.deviation
     log.history += chosen.history
     log.warn(*chosen.warnings)
-    stated_geometry = _geometry(table, value, geometry, log)
+    stated_geometry = _geometry(table, value, known, log)
     divisor = _divisor(table, value, nm, scale, stated_geometry, log)
     wavelength, reflectance, u = _ordered(table, nm, value, deviation, divisor, log)
     log.warn(*damage.outliers(wavelength, reflectance, columns.last_digit(table.values[:, value]) / divisor))
@@ -111,7 +116,7 @@ def read_spectrum(
         variables["total_reflectance_u"] = ("wavelength", u)
     attrs = {
         "geometry": stated_geometry,
-        "theta_i": _incidence(table, incidence, log),
+        "theta_i": _incidence(table, incidence, "incidence" in fallbacks, log),
         "method": "measured",
     }
     dataset = vocabulary.label(xr.Dataset(variables, {"wavelength": wavelength}, attrs), "spectrum")
@@ -313,13 +318,15 @@ def _checked_values(wavelength: Array, reflectance: Array, allow_fluorescent: bo
     return np.maximum(reflectance, 0.0)
 
 
-def _geometry(table: Columns, value: int, geometry: str | None, log: _Log) -> str:
-    """Specular component included or excluded: from material.yaml, or else from the file."""
+def _geometry(table: Columns, value: int, known: KnownGeometry, log: _Log) -> str:
+    """Specular component included or excluded: from material.yaml, or else from the file; a fallback only where the file states none."""
     # The title of the column counts before the words above it, which may speak of other columns.
     stated = header_words.geometry(title_of(table, value)) or header_words.geometry(" ".join(table.header))
-    if geometry is None:
+    geometry = known.name
+    if geometry is None or (known.is_fallback and stated is not None):
         check_geometry(table.file, stated)
-        log.history.append(f"geometry {stated} was read from the file")
+        instead = "" if geometry in (None, stated) else f", instead of the default {geometry}"
+        log.history.append(f"geometry {stated} was read from the file{instead}")
         return str(stated)
     if stated not in (None, geometry):
         single_angle = next((line for line in table.header if line.startswith("SingleAngle")), str(stated).upper())
@@ -330,11 +337,15 @@ def _geometry(table: Columns, value: int, geometry: str | None, log: _Log) -> st
     return geometry
 
 
-def _incidence(table: Columns, incidence: float | None, log: _Log) -> float:
-    """Angle of incidence in degree: from material.yaml, or else from the file."""
+def _incidence(table: Columns, incidence: float | None, is_fallback: bool, log: _Log) -> float:
+    """Angle of incidence in degree: from material.yaml, or else from the file; a fallback only where the file states none."""
     stated = header_words.incidence(" ".join(table.header))
     if incidence is None:
         return _INCIDENCE if stated is None else stated
+    if is_fallback and stated is not None:
+        if stated != incidence:
+            log.history.append(f"incidence {stated:g}° was read from the file, instead of the default {incidence:g}°")
+        return stated
     if stated is not None and abs(incidence - stated) >= 1:
         log.warn(
             f"the header says light from {stated:g} degree; `spectrum.incidence: {incidence:g}` in material.yaml was used. Set the key to "

@@ -15,6 +15,7 @@ from brdfpipe.errors import InputError
 from brdfpipe.file_formats import format_of
 from brdfpipe.spectra.formats import cgats, cxf, excel, jcamp, perkinelmer, qtx, sample_choice, text
 from brdfpipe.spectra.formats.base import UNSCALED, SpectrumFormat
+from brdfpipe.spectra.header_words import NOT_KNOWN, KnownGeometry
 
 FORMATS: dict[str, SpectrumFormat] = {
     module.FORMAT.name: module.FORMAT for module in (text, perkinelmer, qtx, cxf, jcamp, cgats, excel)
@@ -23,7 +24,7 @@ FORMATS: dict[str, SpectrumFormat] = {
 
 
 def read(
-    path: Path, format: str | None = None, sample: int | str | None = None, geometry: str | None = None
+    path: Path, format: str | None = None, sample: int | str | None = None, geometry: KnownGeometry = NOT_KNOWN
 ) -> Columns:
     """Read one spectrum from a file of any known format; the options are those of :func:`brdfpipe.spectra.readers.read_spectrum`.
 

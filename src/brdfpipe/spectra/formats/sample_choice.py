@@ -8,19 +8,20 @@ from pathlib import Path
 from brdfpipe.errors import InputError, abbreviated
 from brdfpipe.spectra import header_words
 from brdfpipe.spectra.formats.base import Sample
+from brdfpipe.spectra.header_words import KnownGeometry
 
 _MOST_NAMES = 10
 """Names of samples that a message lists."""
 
 
-def chosen(path: Path, samples: Sequence[Sample], sample: int | str | None, geometry: str | None) -> int:
+def chosen(path: Path, samples: Sequence[Sample], sample: int | str | None, geometry: KnownGeometry) -> int:
     """Position of a sample, counted from 0.
 
     Parameters
     ----------
     samples : of the file
     sample : its number, from 1; its name; or its name with one or more of the cells that tell it apart, as in ``Red, SCE``
-    geometry : ``sci`` or ``sce``, if known: of several samples of the name, the one with this label is meant
+    geometry : if known, of several samples of the name, the one with this label is meant
 
     Raises
     ------
@@ -28,15 +29,17 @@ def chosen(path: Path, samples: Sequence[Sample], sample: int | str | None, geom
     """
     if not samples:
         raise InputError(path, "no reflectance spectrum in the file", key="spectrum.file")
-    place = _place(path, samples, sample, geometry)
+    place = _place(path, samples, sample, geometry.name)
     own = stated_geometry(samples[place])
-    if geometry is not None and own not in (None, geometry):
+    if own is not None and geometry.contradicts(own):
         fitting = [
-            names for other, names in zip(samples, _names(samples), strict=True) if stated_geometry(other) == geometry
+            names
+            for other, names in zip(samples, _names(samples), strict=True)
+            if stated_geometry(other) == geometry.name
         ]
         raise InputError(
             path,
-            f"the sample is labelled {own.upper()}, and the description says {geometry.upper()}",
+            f"the sample is labelled {own.upper()}, and the description says {str(geometry.name).upper()}",
             where=f"sample {place + 1}",
             found=repr(_names(samples)[place])[:80],
             accepted=f"`geometry: {own}`"
