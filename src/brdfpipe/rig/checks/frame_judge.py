@@ -175,16 +175,19 @@ class FrameJudge:
     # --- camera
 
     def _stuck(self, shot: Shot, summary: FrameSummary) -> Iterator[Finding]:
+        without_noise = shot.dark and self.rig.camera.read_noise <= self.rig.camera.gain
         if summary.lowest == summary.highest:
             if summary.highest >= self.rig.camera.full:
                 yield Finding("saturated", "bad", _SATURATED.format(share=1.0))
                 return
-            where = "restart the camera and its software, and check its cable"
-            yield Finding("constant", "bad", f"every pixel has the count {summary.lowest}; {where}")
+            # Only a camera without noise can take an even dark frame.
+            if not without_noise:
+                where = "restart the camera and its software, and check its cable"
+                yield Finding("constant", "bad", f"every pixel has the count {summary.lowest}; {where}")
             return
         earlier = self._digests.get(summary.digest)
-        # Only a camera without noise can take the same picture twice.
-        if earlier is not None and (self.rig.camera.read_noise > self.rig.camera.gain or not shot.dark):
+        # Nor can another take the same picture twice.
+        if earlier is not None and not without_noise:
             text = (
                 f"identical to frame {earlier.ordinal}, count by count: the camera, or the program that serves its folder, repeats an old "
                 "frame; restart both"

@@ -5,7 +5,7 @@ Each frame is divided by the light of its own reference spot, which removes the 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 
 import numpy as np
 import xarray as xr
@@ -13,10 +13,12 @@ import xarray as xr
 from brdfpipe import vocabulary
 from brdfpipe.errors import BrdfpipeError, abbreviated
 from brdfpipe.geometry import Array
+from brdfpipe.rig.checks.frame_judge import Finding
 from brdfpipe.rig.checks.run_checks import relevant, run_findings
 from brdfpipe.rig.description import Rig
 from brdfpipe.rig.filter_location import check_overlaps
 from brdfpipe.rig.frames import NOT_MEASURED
+from brdfpipe.rig.plan import Shot
 from brdfpipe.rig.reduction import brackets, exposures, pictures
 from brdfpipe.rig.reduction.brackets import Bracket, DarkFrames, ReferenceSpot, Scale
 from brdfpipe.rig.reduction.cell_signals import cell_signals
@@ -37,11 +39,20 @@ COMPONENTS = {
 
 _OUT_OF_RANGE = 0.99  # share of pixels out of the linear range above which a frame is unusable
 _USELESS = ("constant", "identical", "dark shows light", "equal to its dark")
-"""Checks whose bad frames are left out like missing ones; those of the others contradict their labels."""
+"""Checks whose bad frames contradict no label: those of light frames are left out like missing ones."""
+
+_USELESS_DARK = ("constant", "saturated", "dark shows light")
+"""Checks whose bad dark frames are left out like missing ones."""
+
+_HARMLESS = (*_USELESS, "saturated")
+"""Checks whose bad frames do not contradict their labels."""
 
 _LEFT_OUT = "The frame is not used; delete its file, and `brdfpipe rig scan … --resume` takes it again."
 _CHECKED = 5  # wavelengths whose overlapping frames are checked for the position of the filters
 _LISTED = 8  # most entries of a list in a message
+
+
+Findings = list[tuple[Shot, Finding]]
 
 
 class ReductionError(BrdfpipeError):
@@ -89,7 +100,7 @@ def reduce(
     if rig.target is not None and target is not frames and (target["purpose"] == "target").any():
         _check_same_rig(target, rig)
     chosen = _frames_of_arrangement(frames, load, side, incidence)
-    frames, frame_warnings = _without_bad_frames(frames, target, chosen, rig, override)
+    frames, target, frame_warnings = _without_bad_frames(frames, target, chosen, rig, override)
     chosen = _frames_of_arrangement(frames, load, side, incidence)
     darks = DarkFrames.of(frames, rig)
     warnings = [*_too_few_darks(darks), *_filter_warnings(frames, chosen, rig, override)]
@@ -161,42 +172,109 @@ def _filter_warnings(frames: xr.Dataset, chosen: xr.Dataset, rig: Rig, override:
 
 def _without_bad_frames(
     frames: xr.Dataset, target: xr.Dataset, chosen: xr.Dataset, rig: Rig, override: bool
-) -> tuple[xr.Dataset, list[str]]:
-    """The frames without those that show nothing, and warnings.
+) -> tuple[xr.Dataset, xr.Dataset, list[str]]:
+    """The frames and those of the target without the ones that show nothing, and warnings.
 
-    ReductionError if frames contradict their labels and this is not accepted by ``override``: which of them are wrong is unknown.
+    ReductionError if frames contradict their labels and this is not accepted by ``override``: which of them are wrong is unknown. So too if
+    no dark frame of an exposure time, or no frame of the arrangement, can be used.
     """
     load, side, incidence = (chosen[name].values[0].item() for name in ("purpose", "side", "incidence"))
     found = run_findings(relevant(frames, load, side, incidence), rig)
+    of_target: Findings = []
     if target is not frames:
-        found += run_findings(target.isel(frame=np.isin(target["purpose"].values, ("target", "dark"))), rig)
-    texts: dict[str, list[str]] = {}
+        of_target = run_findings(target.isel(frame=np.isin(target["purpose"].values, ("target", "dark"))), rig)
+    if not override:
+        _refuse_contradictions(found, of_target)
+    useless = _useless(found)
+    kept, lost = _underexposed(chosen, found, useless)
+    useless -= kept
+    usable = _without(frames, useless)
+    used_target = usable if target is frames else _without(target, _useless(of_target))
+    warnings = [
+        f"{text[0].upper()}{text[1:]}.{f' {_LEFT_OUT}' if left_out else ''}"
+        for _, left_out, text in (*_sentences(found, "", kept), *_sentences(of_target, "target run, "))
+    ]
+    for before, after in ((frames, usable), (target, used_target)):
+        _refuse_lost_darks(before, after, warnings)
+    if lost:
+        listed = abbreviated([f"{nm:g}" for nm in lost], _LISTED)
+        if len(lost) == np.unique(chosen["wavelength"].values).size:
+            raise ReductionError(f"no frame of the {load} at {incidence:g} degree can be used. {' '.join(warnings)}")
+        warnings.append(
+            f"{len(lost)} wavelengths are left out of the {load} at {incidence:g} degree, since none of their frames can be used: {listed} nm. "
+            "Delete these frames, and take them again with `brdfpipe rig scan … --resume`."
+        )
+    return usable, used_target, warnings
+
+
+def _is_useless(shot: Shot, finding: Finding) -> bool:
+    return finding.severity == "bad" and finding.name in (_USELESS_DARK if shot.dark else _USELESS)
+
+
+def _useless(found: Findings) -> set[int]:
+    """Ordinals of the frames that are left out."""
+    return {shot.ordinal for shot, finding in found if _is_useless(shot, finding)}
+
+
+def _without(frames: xr.Dataset, useless: set[int]) -> xr.Dataset:
+    return frames.isel(frame=~np.isin(frames["shot"].values, list(useless)))
+
+
+def _sentences(found: Findings, prefix: str = "", kept: Iterable[int] = ()) -> list[tuple[str, bool, str]]:
+    """For each check, and for frames that are left out and others: its name, whether they are left out, and the first of them in words.
+
+    Frames ``kept`` are not left out.
+    """
+    texts: dict[tuple[str, bool], list[str]] = {}
     for shot, finding in found:
-        texts.setdefault(finding.name, []).append(f"frame {shot.ordinal}: {finding.text}")
-    summed = {
-        name: f"{lines[0]}{f' ({len(lines)} such frames)' if len(lines) > 1 else ''}" for name, lines in texts.items()
-    }
-    useless = {
-        shot.ordinal
-        for shot, finding in found
-        if finding.severity == "bad" and finding.name in (("dark shows light",) if shot.dark else _USELESS)
-    }
-    contradictory = {finding.name for _, finding in found if finding.severity == "bad"} - {*_USELESS, "saturated"}
-    if contradictory and not override:
+        left_out = _is_useless(shot, finding) and shot.ordinal not in kept
+        texts.setdefault((finding.name, left_out), []).append(f"{prefix}frame {shot.ordinal}: {finding.text}")
+    return [
+        (name, left_out, f"{lines[0]}{f' ({len(lines)} such frames)' if len(lines) > 1 else ''}")
+        for (name, left_out), lines in texts.items()
+    ]
+
+
+def _refuse_contradictions(found: Findings, of_target: Findings) -> None:
+    bad = [
+        [(shot, finding) for shot, finding in findings if finding.severity == "bad" and finding.name not in _HARMLESS]
+        for findings in (found, of_target)
+    ]
+    sentences = [*_sentences(bad[0]), *_sentences(bad[1], "target run, ")]
+    if sentences:
         raise ReductionError(
-            f"frames contradict their labels: {'; '.join(text for name, text in summed.items() if name in contradictory)}. Take the frames again, or "
+            f"frames contradict their labels: {'; '.join(text for *_, text in sentences)}. Take the frames again, or "
             "accept them with `override: true`, which the results record"
         )
-    warnings = []
-    for name, text in summed.items():
-        left_out = f" {_LEFT_OUT}" if name in _USELESS else ""
-        warnings.append(f"{text[0].upper()}{text[1:]}.{left_out}")
-    # A wavelength without any light is named and left missing; it needs its frames.
-    left = ~np.isin(frames["shot"].values, list(useless))
+
+
+def _underexposed(chosen: xr.Dataset, found: Findings, useless: set[int]) -> tuple[set[int], list[float]]:
+    """Among wavelengths without a usable frame: the frames that are only too dark, and the wavelengths without such frames [nm].
+
+    Frames that are too dark keep their wavelength in the result, without values and with a warning. Others would give it wrong values.
+    """
+    otherwise = {
+        shot.ordinal for shot, finding in found if _is_useless(shot, finding) and finding.name != "equal to its dark"
+    }
+    kept: set[int] = set()
+    lost = []
     for wavelength in np.unique(chosen["wavelength"].values):
-        own = np.isin(frames["shot"].values, chosen["shot"].values[chosen["wavelength"].values == wavelength])
-        left |= own & ~(own & left).any()
-    return frames.isel(frame=left), warnings
+        own = set(chosen["shot"].values[chosen["wavelength"].values == wavelength].tolist())
+        if own <= useless:
+            kept |= own - otherwise
+            if own <= otherwise:
+                lost.append(float(wavelength))
+    return kept, lost
+
+
+def _refuse_lost_darks(frames: xr.Dataset, usable: xr.Dataset, warnings: list[str]) -> None:
+    """Raise ReductionError if every dark frame of an exposure time is left out."""
+    before, after = (
+        set(some["exposure"].values[some["purpose"].values == "dark"].tolist()) for some in (frames, usable)
+    )
+    if lost := sorted(before - after):
+        listed = abbreviated([f"{exposure:g}" for exposure in lost], _LISTED)
+        raise ReductionError(f"no dark frame of {listed} s can be used. {' '.join(warnings)}")
 
 
 def _too_few_darks(darks: DarkFrames) -> Iterator[str]:
