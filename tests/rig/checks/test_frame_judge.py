@@ -242,3 +242,29 @@ def test_a_target_that_is_missing_is_noticed(plan):
     found = findings(plan, list(arranged(plan, PLASTIC, setup)))
     assert found[0][1].name == "target"
     assert "0 of 13 spots of the angular target found" in found[0][1].text
+
+
+def test_a_scan_that_is_resumed_remembers_the_spots_of_the_frames_before(plan):
+    """The frames before the interruption are learnt without being judged again."""
+    frames, judge = run(plan), FrameJudge(plan.rig)
+    for shot, counts in frames:
+        last = shot.step == len(plan.bracket)
+        if shot.purpose in ("etalon", "target") and last:
+            own = judge.judge(shot, counts, wavelength_read=shot.wavelength, last_of_bracket=True)
+            assert [finding.text for finding in own if finding.name in ("spots", "target")] == []
+        judge.learn(shot, counts)
+    # The darkest frame alone shows too few.
+    assert all(judge._spots_found.values())
+
+
+def test_a_lamp_that_warms_during_the_run_is_no_error(plan):
+    """Half of the light at first, and 10 minutes to warm."""
+    frames = rig_emulated.frames(PLASTIC, 1)
+    counts, exposure = frames["counts"].values.astype(float), frames["exposure"].values
+    dark = frames["purpose"].values == "dark"
+    warmed = []
+    for shot, own, elapsed in zip(plan.shots, counts, frames["elapsed"].values, strict=True):
+        level = counts[dark & (exposure == shot.exposure)].mean(axis=0)
+        light = own if shot.dark else level + (own - level) * (1 - 0.5 * np.exp(-elapsed / 600))
+        warmed.append((shot, np.rint(np.clip(light, 0, 65535)).astype(np.uint16)))
+    assert bad(plan, warmed) == []

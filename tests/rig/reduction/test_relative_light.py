@@ -66,8 +66,8 @@ def test_the_position_of_picture_and_disc_is_recovered(sample):
 
 def test_an_ideal_rig_gives_the_brightness_of_each_direction():
     """Without other effects the disc and the fibres are as bright as f cos γ, within the rounding of counts."""
-    frames = rig_emulated.frames(WIDE, effects=Effects.none())
-    measured = reduced(frames)
+    frames, rig = rig_emulated.frames(WIDE, effects=Effects.none()), rig_emulated.plan().rig
+    measured = reduce(frames, replace(rig, camera=replace(rig.camera, read_noise=0.0)), incidence=30.0)
     cosine = specular_directions.cos_view(30.0, measured["theta_s"].values, measured["phi_s"].values)
     theta_o, phi_o = specular_directions.outgoing(30.0, measured["theta_s"].values, measured["phi_s"].values)
     above = cosine > 0.05
@@ -194,11 +194,17 @@ def test_a_frame_out_of_the_linear_range_is_named_and_not_used(sample):
     assert np.nanmedian(ratio[1, faint]) == pytest.approx(1, abs=0.01)
 
 
+def darken(frames: xr.Dataset, own: np.ndarray) -> None:
+    """Make frames dark ones, each with a noise of its own."""
+    dark = frames["counts"].values[frames["purpose"].values == "dark"][-1]
+    noise = np.random.default_rng(1).integers(0, 4, (np.count_nonzero(own), *dark.shape), dtype=np.uint16)
+    frames["counts"].values[own] = dark + noise
+
+
 def test_a_wavelength_without_light_is_named_and_left_missing():
     frames = rig_emulated.frames().copy(deep=True)
-    dark = frames["counts"].values[frames["purpose"].values == "dark"][-1]
     own = (frames["purpose"].values == "sample") & (frames["wavelength"].values == 470)
-    frames["counts"][np.flatnonzero(own)] = dark
+    darken(frames, own)
     measured = reduced(frames)
     assert np.isnan(measured["signal"].values[0, 0]).all()
     assert np.isnan(measured["reference"].values[0, 0])
@@ -211,8 +217,7 @@ def test_a_wavelength_without_light_is_named_and_left_missing():
 
 def test_no_light_at_all_is_refused():
     frames = rig_emulated.frames().copy(deep=True)
-    dark = frames["counts"].values[frames["purpose"].values == "dark"][-1]
-    frames["counts"][np.flatnonzero(frames["purpose"].values == "sample")] = dark
+    darken(frames, frames["purpose"].values == "sample")
     with pytest.raises(ReductionError, match="in every frame"):
         reduced(frames)
 

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from brdfpipe import specular_directions
 from brdfpipe.geometry import Array
@@ -54,6 +55,11 @@ _FLICKER = 0.006  # relative standard deviation of the lamp from frame to frame
 _FIRST_CHANGE = (
     1.0  # largest change of the logarithm of the lamp as a whole between two frames: a cold lamp doubles its light
 )
+_COMPARED = ("etalon", "sample")
+"""Purposes of the frames whose reference light is compared closely between arrangements. Target and monitor readings are of few wavelengths
+and far from the brackets in time: a lamp that warms between them would look like another wavelength. So they show coarse errors alone."""
+
+_WARMING = 0.75  # change of the logarithm of the light of a lamp that warms from half of its light
 _SIGMA = 5.0
 _ENOUGH_SPOTS = 0.6  # share of the fibres of a lit etalon whose spots must be found
 _FEWEST_FIBRES = 12  # fibres that a statement on their spots needs
@@ -87,6 +93,8 @@ class _Reading:
     arrangement: Arrangement
     light: float
     noise: float
+    of_bracket: bool
+    """Whether it is of a bracket of etalon or sample."""
 
 
 @dataclass(frozen=True)
@@ -104,12 +112,14 @@ class FrameJudge:
     """Judges frames of one rig in the order in which they are taken."""
 
     rig: Rig
+    steady_lamp: bool = False
+    """Whether target and monitor readings too are compared closely with brackets, where those of other arrangements are missing."""
     _darks: dict[float, list[Counts]] = field(default_factory=dict)
     _mean_darks: dict[float, Array] = field(default_factory=dict)
     _digests: dict[bytes, Shot] = field(default_factory=dict)
     _first_offset: tuple[float, float] | None = None
     _readings: dict[tuple[float, int, float], list[_Reading]] = field(default_factory=dict)
-    _changes: dict[Arrangement, list[tuple[float, float]]] = field(default_factory=dict)
+    _changes: dict[tuple[Arrangement, bool], list[tuple[float, float]]] = field(default_factory=dict)
     _pictures: dict[tuple[float, int, float], list[_Picture]] = field(default_factory=dict)
     _distinct: set[frozenset[Arrangement]] = field(default_factory=set)
     _spots_found: dict[Arrangement, set[int]] = field(default_factory=dict)
@@ -148,6 +158,7 @@ class FrameJudge:
             summary = self._last[1]
         else:
             summary = FrameSummary.of(counts, self._dark(shot.exposure), self.rig)
+            self._remember_spots(shot, summary)
         self._last = None
         self._digests.setdefault(summary.digest, shot)
         if shot.dark:
@@ -158,10 +169,11 @@ class FrameJudge:
         if reference.offset is not None and self._first_offset is None:
             self._first_offset = reference.offset
         if not reference.saturated and reference.snr > _SHOWN:
-            if (change := self._reference_change(shot, summary)) is not None:
-                self._changes.setdefault(shot.arrangement, []).append(change)
+            change = self._reference_change(shot, summary)
+            if change is not None:
+                self._changes.setdefault((shot.arrangement, change[2]), []).append(change[:2])
             readings = self._readings.setdefault(settings, [])
-            readings.append(_Reading(shot.arrangement, reference.light, reference.noise))
+            readings.append(_Reading(shot.arrangement, reference.light, reference.noise, shot.purpose in _COMPARED))
         light = np.nan if reference.saturated or reference.snr < _SHOWN else reference.light
         pictures = self._pictures.setdefault(settings, [])
         if all(picture.shot.arrangement != shot.arrangement for picture in pictures):
@@ -175,13 +187,15 @@ class FrameJudge:
     # --- camera
 
     def _stuck(self, shot: Shot, summary: FrameSummary) -> Iterator[Finding]:
-        without_noise = shot.dark and self.rig.camera.read_noise <= self.rig.camera.gain
+        camera = self.rig.camera
+        # Light has noise of its own, unless the camera is described as an ideal one.
+        without_noise = camera.read_noise == 0 or (shot.dark and camera.read_noise <= camera.gain)
         if summary.lowest == summary.highest:
             if summary.highest >= self.rig.camera.full:
                 yield Finding("saturated", "bad", _SATURATED.format(share=1.0))
                 return
             # Only a camera without noise can take an even dark frame.
-            if not without_noise:
+            if not (shot.dark and without_noise):
                 where = "restart the camera and its software, and check its cable"
                 yield Finding("constant", "bad", f"every pixel has the count {summary.lowest}; {where}")
             return
@@ -215,6 +229,7 @@ class FrameJudge:
         yield from shifted
         if any(finding.severity == "bad" for finding in shifted):
             return
+        self._remember_spots(shot, summary)
         yield from self._light_missing(shot, summary, last_of_bracket)
         yield from self._reference_spectrum(shot, summary)
         if shot.arrangement.load == "etalon":
@@ -286,29 +301,35 @@ class FrameJudge:
                 )
                 yield Finding("shifted", "bad" if size > SHIFT else "warning", text)
 
-    def _reference_change(self, shot: Shot, summary: FrameSummary) -> tuple[float, float] | None:
-        """ln of the reference light over that of the same settings in the first other arrangement, and its noise."""
+    def _reference_change(self, shot: Shot, summary: FrameSummary) -> tuple[float, float, bool] | None:
+        """ln of the reference light over that of the same settings in the first other arrangement, its noise, and whether both are of brackets."""
         reference = summary.reference
         if reference.saturated or reference.snr < _SHOWN:
             return None
-        for reading in self._readings.get(_settings(shot), ()):
-            if reading.arrangement != shot.arrangement:
-                noise = float(np.hypot(reference.noise / reference.light, reading.noise / reading.light))
-                return float(np.log(reference.light / reading.light)), noise
-        return None
+        readings = [one for one in self._readings.get(_settings(shot), ()) if one.arrangement != shot.arrangement]
+        if not readings:
+            return None
+        reading = next((one for one in readings if one.of_bracket), readings[0])
+        noise = float(np.hypot(reference.noise / reference.light, reading.noise / reading.light))
+        return (
+            float(np.log(reference.light / reading.light)),
+            noise,
+            self.steady_lamp or (reading.of_bracket and shot.purpose in _COMPARED),
+        )
 
     def _reference_spectrum(self, shot: Shot, summary: FrameSummary) -> Iterator[Finding]:
         """Whether the reference has changed at this wavelength otherwise than at the wavelengths before."""
         found = self._reference_change(shot, summary)
         if found is None:
             return
-        change, noise = found
-        before = np.array(self._changes.get(shot.arrangement, [])[-_TREND:]).reshape(-1, 2)
+        change, noise, of_brackets = found
+        before = np.array(self._changes.get((shot.arrangement, of_brackets), [])[-_TREND:]).reshape(-1, 2)
         trend, tolerance = 0.0, max(_FIRST_CHANGE, _SIGMA * noise)
         if before.size:
             weight = 1 / (before[:, 1] ** 2 + _FLICKER**2)
             trend = float((weight * before[:, 0]).sum() / weight.sum())
-            tolerance = max(REFERENCE_CHANGE, _SIGMA * float(np.hypot(noise, weight.sum() ** -0.5)))
+            least = REFERENCE_CHANGE if of_brackets else _WARMING
+            tolerance = max(least, _SIGMA * float(np.hypot(noise, weight.sum() ** -0.5)))
             tolerance += float(np.ptp(before[:, 0]))
         if abs(change - trend) > tolerance:
             text = (
@@ -325,19 +346,7 @@ class FrameJudge:
         yield from self._etalon_disc(shot, summary)
         if shot.purpose != "etalon":
             return
-        fibres, screen = self.rig.fibres, self.rig.screen
-        theta, phi = (np.array([getattr(fibre, angle) for fibre in fibres]) for angle in ("theta_s", "phi_s"))
-        cosine = specular_directions.cos_view_etalon(shot.arrangement.incidence, theta, phi)
-        seen = (cosine > _SEEN_COSINE) & (cosine < np.cos(np.radians(ENTRANCE_EXCLUSION_RADIUS)))
-        found = self._spots_found.setdefault(shot.arrangement, set())
-        if not last_of_bracket and len(found) > _ENOUGH_SPOTS * seen.sum():
-            return
-        column, row = screens.to_pixel(
-            screen, np.array([fibre.x for fibre in fibres]), np.array([fibre.y for fibre in fibres])
-        )
-        shown = np.isfinite(summary.spots(column, row, screen.fibre_radius * screen.scale).u)
-        found |= set(np.flatnonzero(shown & seen).tolist())
-        expected = int(seen.sum())
+        found, expected = self._spots_found[shot.arrangement], int(self._seen_fibres(shot).sum())
         if last_of_bracket and expected >= _FEWEST_FIBRES and len(found) < _ENOUGH_SPOTS * expected:
             expected_light = summary.reference.saturated or summary.reference.snr > _EXPECTED_SHOWN
             text = (
@@ -367,17 +376,11 @@ class FrameJudge:
             yield Finding("etalon", "bad", text, arrangement=True)
 
     def _target(self, shot: Shot, summary: FrameSummary, last_of_bracket: bool) -> Iterator[Finding]:
-        target, screen = self.rig.target, self.rig.screen
+        target = self.rig.target
         if target is None:
             return
         theta, phi = np.array(target.theta_s), np.array(target.phi_s)
-        column, row = screens.to_pixel(screen, *screens.disc_position(screen, theta, phi))
-        radius = float(np.radians(target.radius)) * screen.focal_length * screen.scale
-        spots = summary.spots(column, row, radius)
-        # A lit disc has light everywhere; a spot is narrow.
-        narrow = np.isfinite(spots.u) & (spots.variance < ((radius + 2) / 2) ** 2 * 1.5)
-        found = self._spots_found.setdefault(shot.arrangement, set())
-        found |= set(np.flatnonzero(narrow).tolist())
+        found = self._spots_found[shot.arrangement]
         if not last_of_bracket or len(found) == theta.size:
             return
         missing = [f"({theta[at]:g}, {phi[at]:g})" for at in range(theta.size) if at not in found]
@@ -388,6 +391,35 @@ class FrameJudge:
         )
         few = len(found) < max(_FEWEST_TARGET_SPOTS, theta.size / 2)
         yield Finding("target", "bad" if few else "warning", text, arrangement=few)
+
+    def _remember_spots(self, shot: Shot, summary: FrameSummary) -> None:
+        """Add the fibres or target spots that a frame shows to those of its arrangement, which its frames show together."""
+        if shot.purpose not in ("etalon", "target") or summary.saturated > SATURATED:
+            return
+        screen, target = self.rig.screen, self.rig.target
+        found = self._spots_found.setdefault(shot.arrangement, set())
+        if shot.purpose == "etalon":
+            fibres, seen = self.rig.fibres, self._seen_fibres(shot)
+            if len(found) > _ENOUGH_SPOTS * seen.sum():
+                return
+            column, row = screens.to_pixel(
+                screen, np.array([fibre.x for fibre in fibres]), np.array([fibre.y for fibre in fibres])
+            )
+            shown = np.isfinite(summary.spots(column, row, screen.fibre_radius * screen.scale).u)
+            found |= set(np.flatnonzero(shown & seen).tolist())
+        elif target is not None and len(found) < len(target.theta_s):
+            position = screens.disc_position(screen, np.array(target.theta_s), np.array(target.phi_s))
+            radius = float(np.radians(target.radius)) * screen.focal_length * screen.scale
+            spots = summary.spots(*screens.to_pixel(screen, *position), radius)
+            # A lit disc has light everywhere; a spot is narrow.
+            narrow = np.isfinite(spots.u) & (spots.variance < ((radius + 2) / 2) ** 2 * 1.5)
+            found |= set(np.flatnonzero(narrow).tolist())
+
+    def _seen_fibres(self, shot: Shot) -> NDArray[np.bool_]:
+        """Fibres (fibre,) that see the etalon, which must be bright, and not the entrance."""
+        theta, phi = (np.array([getattr(fibre, angle) for fibre in self.rig.fibres]) for angle in ("theta_s", "phi_s"))
+        cosine = specular_directions.cos_view_etalon(shot.arrangement.incidence, theta, phi)
+        return np.asarray((cosine > _SEEN_COSINE) & (cosine < np.cos(np.radians(ENTRANCE_EXCLUSION_RADIUS))))
 
     # --- arrangements
 

@@ -14,7 +14,8 @@ from brdfpipe.rig.plan import Arrangement, Shot
 
 def run_findings(frames: xr.Dataset, rig: Rig) -> list[tuple[Shot, Finding]]:
     """Findings on frames of kind ``frames``, in the order in which they were taken; dark frames are learnt first."""
-    judge = FrameJudge(rig)
+    # One arrangement has nothing else to show exchanged frames by.
+    judge = FrameJudge(rig, steady_lamp=True)
     shots = list(_shots(frames))
     last = {_key(shot): shot.ordinal for shot in shots}
     findings = []
