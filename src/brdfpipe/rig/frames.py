@@ -69,13 +69,8 @@ def _unchanged(
     folder: Path, results: Iterator[tuple[Shot, Frame | FrameError]]
 ) -> Iterator[tuple[Shot, Frame | FrameError]]:
     """Results in which a frame that differs from the one the journal recorded, or belongs to a rejected arrangement, is an error."""
-    recorded: dict[int, str] = {}
-    rejected: set[str] = set()
-    for event in journals.read(folder / JOURNAL):
-        if event["event"] in ("frame", "adopted"):
-            recorded[event.get("shot", 0)] = event.get("sha256", "")
-        elif event["event"] == "rejected":
-            rejected |= set(event.get("sha256", ()))
+    events = journals.read(folder / JOURNAL)
+    recorded, rejected = journals.recorded_digests(events), journals.rejected_digests(events)
     for shot, result in results:
         if isinstance(result, Frame):
             path = folder / FRAMES / shot.name

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from brdfpipe.rig.acquisition.journal import Journal, read
+from brdfpipe.rig.acquisition.journal import Journal, read, recorded_digests, rejected_digests
 from brdfpipe.store import StoreError
 
 
@@ -103,3 +103,18 @@ def test_a_full_disk_leaves_no_incomplete_line(tmp_path, monkeypatch):
 def test_a_journal_that_cannot_be_opened_is_reported(tmp_path):
     with pytest.raises(StoreError, match="could not be written"):
         opened(tmp_path / "no" / "j")
+
+
+def test_rejected_frames_may_be_accepted_later_and_entries_of_other_types_are_ignored():
+    events = [
+        {"event": "frame", "shot": 1, "sha256": "a"},
+        {"event": "frame", "shot": [2], "sha256": "b"},
+        {"event": "adopted", "shot": 3, "sha256": {}},
+        {"event": "rejected", "sha256": ["a", ["b"], None, "c"]},
+        {"event": "rejected", "sha256": 5},
+        {"event": "rejected"},
+        {"event": "accepted", "sha256": ["a"]},
+    ]
+    assert recorded_digests(events) == {1: "a"}
+    assert rejected_digests(events[:4]) == {"a", "c"}
+    assert rejected_digests(events) == {"c"}

@@ -16,6 +16,7 @@ import pytest
 import small_rig
 from astropy.io import fits
 
+from brdfpipe import vocabulary
 from brdfpipe.errors import InputError
 from brdfpipe.rig.acquisition import journal
 from brdfpipe.rig.acquisition.devices.connection import connect
@@ -668,6 +669,12 @@ def test_an_arrangement_that_was_not_made_is_rejected_and_taken_again(tmp_path, 
             scan(plan, devices, folder, clock=rig.clock.now, confirm=confirm)
     (rejected,) = events(folder, "rejected")
     assert (rejected["check"], rejected["problem"].split()[:2]) == ("alike", ["the", "picture"])
+    kept = tmp_path / "kept"
+    shutil.copytree(folder, kept)
     done = spoilt_scan(plan, folder, stuck(()), resume=True)
     assert done.frames == len(on_disk(folder)) == len(plan.shots)
     assert sum("its arrangement was rejected" in warning for warning in done.warnings) == len(rejected["shots"])
+    # Accepted frames count for the scan, and for whoever reads the run.
+    spoilt_scan(replace(plan, bad_frames="accept"), kept, stuck(()), resume=True)
+    assert [event["sha256"] for event in events(kept, "accepted")] == [rejected["sha256"]]
+    assert not any("rejected" in text for text in vocabulary.warnings(read_run(kept)))

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any, Self
 
@@ -93,3 +93,25 @@ def read(path: Path) -> list[dict[str, Any]]:
         if isinstance(event, dict) and isinstance(event.get("event"), str):
             events.append(event)
     return events
+
+
+def recorded_digests(events: Iterable[dict[str, Any]]) -> dict[int, str]:
+    """The digest of each frame by its ordinal, of the last event that recorded it. Entries of other types are ignored."""
+    return {
+        event["shot"]: event["sha256"]
+        for event in events
+        if event["event"] in ("frame", "adopted")
+        and isinstance(event.get("shot"), int)
+        and isinstance(event.get("sha256"), str)
+    }
+
+
+def rejected_digests(events: Iterable[dict[str, Any]]) -> set[str]:
+    """Digests of frames of rejected arrangements that were not accepted later. Entries of other types are ignored."""
+    rejected: set[str] = set()
+    for event in events:
+        digests = event.get("sha256")
+        if event["event"] in ("rejected", "accepted") and isinstance(digests, list):
+            named = {digest for digest in digests if isinstance(digest, str)}
+            rejected = rejected | named if event["event"] == "rejected" else rejected - named
+    return rejected

@@ -174,13 +174,11 @@ class _Scan:
     def _find_finished(self) -> None:
         """Accept frames that are complete and, if the journal lists them, have the listed digest."""
         events = journals.read(self.folder / JOURNAL)
-        digests = {event.get("shot"): event.get("sha256") for event in events if event["event"] in ("frame", "adopted")}
+        digests, rejected = journals.recorded_digests(events), journals.rejected_digests(events)
         self._filters_checked = any(event["event"] == "overlap" for event in events)
-        rejected: set[str] = set()
-        if self.plan.bad_frames in ("retake", "stop"):
-            rejected = {digest for event in events if event["event"] == "rejected" for digest in event["sha256"]}
+        taken_again = rejected if self.plan.bad_frames in ("retake", "stop") else set()
         for shot, result in read_shots(self.folder, self.plan, self.plan.shots):
-            if isinstance(result, Frame) and result.digest in rejected:
+            if isinstance(result, Frame) and result.digest in taken_again:
                 self._warn(f"{shot.name}: its arrangement was rejected; the frame is taken again")
             elif isinstance(result, Frame) and digests.get(shot.ordinal, result.digest) == result.digest:
                 if shot.ordinal not in digests:
@@ -190,6 +188,11 @@ class _Scan:
                 problem = str(result) if isinstance(result, FrameError) else f"{shot.name}: changed since it was taken"
                 self.journal.append("damaged", shot=shot.ordinal, problem=problem)
                 self._warn(f"{problem}; the frame is taken again")
+        accepted = [shot for shot, digest in self._digests.items() if digest in rejected]
+        if accepted:
+            # Readers of the run use them from now on.
+            shots, sha256 = [shot.ordinal for shot in accepted], [self._digests[shot] for shot in accepted]
+            self.journal.append("accepted", shots=shots, sha256=sha256, bad_frames=self.plan.bad_frames)
         self._check_lamp(new=False)
 
     def _check_disk(self, count: int) -> None:
