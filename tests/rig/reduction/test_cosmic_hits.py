@@ -10,6 +10,7 @@ import rig_emulated
 
 from brdfpipe.rig.emulator.effects import Effects
 from brdfpipe.rig.reduction import cosmic_hits
+from brdfpipe.rig.reduction.brackets import DarkFrames, read_bracket
 from brdfpipe.rig.reduction.relative_light import reduce
 
 
@@ -64,3 +65,15 @@ def test_a_hundred_and_fifty_hits_in_each_frame_change_the_reduced_light_by_less
     # Hits within the reference spot change all cells alike; beside that, two noises differ by √2 of one.
     own = change - np.median(change, axis=-1, keepdims=True)
     assert np.sqrt(np.mean((own / u)[bright] ** 2)) < 2
+
+
+def test_spots_as_sharp_as_a_hit_keep_their_light():
+    frames, rig = rig_emulated.frames(), rig_emulated.plan().rig
+    some = frames.isel(frame=np.flatnonzero(frames["purpose"].values == "sample")[:1]).copy(deep=True)
+    some["counts"].values[0, 5, 5] += 2000
+    darks = DarkFrames.of(frames, rig)
+    small = replace(rig, screen=replace(rig.screen, fibre_radius=1.4 / rig.screen.scale))
+    assert read_bracket(some, darks, rig).cosmic_hits == 1
+    kept = read_bracket(some, darks, small)
+    assert kept.cosmic_hits == 0
+    assert kept.light[0, 5, 5] > 1000

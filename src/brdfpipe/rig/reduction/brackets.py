@@ -85,7 +85,7 @@ class Scale:
 
 
 def read_bracket(frames: xr.Dataset, darks: DarkFrames, rig: Rig) -> Bracket:
-    """The light of some frames of one arrangement, without isolated cosmic hits. Raises ExposureError: there is no dark frame of an exposure time."""
+    """The light of some frames of one arrangement, without isolated cosmic hits unless spots are as sharp. Raises ExposureError: there is no dark frame of an exposure time."""
     light, usable, floor = [], [], []
     for counts, exposure in zip(frames["counts"].values, frames["exposure"].values, strict=True):
         if (dark := darks.by_exposure.get(float(exposure))) is None:
@@ -98,7 +98,9 @@ def read_bracket(frames: xr.Dataset, darks: DarkFrames, rig: Rig) -> Bracket:
         floor.append(rig.camera.gain**2 * dark.floor)
     stacked = np.array(light)
     darks.hot_pixels.interpolate(stacked)
-    hits = sum(cosmic_hits.replace_peaks(light, variance) for light, variance in zip(stacked, floor, strict=True))
+    hits = 0
+    if rig.screen.fibre_radius * rig.screen.scale >= cosmic_hits.SMALLEST_SPOT:
+        hits = sum(cosmic_hits.replace_peaks(light, variance) for light, variance in zip(stacked, floor, strict=True))
     exposure, positions = frames["exposure"].values, frames["nd_position"].values
     return Bracket(stacked, np.array(usable), exposure, positions, np.array(floor), hits)
 

@@ -18,6 +18,9 @@ SHARPEST = 1.3
 MANY = 5e-4
 """Share of pixels with hits above which a bench is not as it should be: two per minute and square centimetre leave far fewer."""
 
+SMALLEST_SPOT = 1.5
+"""Radius of a fibre's spot [pixel] below which its light may be as sharp as a hit, so that a single frame cannot tell them apart."""
+
 _SIGMA = 6.0  # standard deviations of noise by which a hit stands out
 _MODEL_U = 0.03  # relative standard uncertainty with which the other frames of a bracket predict a pixel: flicker, filters, linearity
 _LONGEST_TRACK = 3  # pixels of a track that are removed one after the other

@@ -110,9 +110,11 @@ def reduce(
     scales: list[Scale] = []
     merged: list[Merged | None] = []
     elapsed: list[float] = []
+    hits = 0
     for wavelength in wavelengths:
         own = chosen.isel(frame=chosen["wavelength"].values == wavelength)
         bracket = brackets.read_bracket(own, darks, rig)
+        hits += bracket.cosmic_hits
         warnings += _unusable_frames(own, bracket)
         spot = spot or brackets.locate_reference_spot(rig, bracket)
         scales.append(brackets.scale_bracket(bracket, spot, rig))
@@ -128,7 +130,12 @@ def reduce(
     reduced = reduced.assign(elapsed=("wavelength", elapsed))
     reduced = reduced.assign(lamp_monitor_readings(frames, chosen, darks, spot, rig))
     warnings += [*repeat_warnings, *_cell_warnings(reduced)]
-    return _reduced_dataset(reduced, chosen, rig, registration, warnings)
+    reduced = _reduced_dataset(reduced, chosen, rig, registration, warnings)
+    return (
+        vocabulary.add_history(reduced, f"{hits} isolated bright pixels were removed as cosmic hits.")
+        if hits
+        else reduced
+    )
 
 
 def _check_same_rig(frames: xr.Dataset, rig: Rig) -> None:
