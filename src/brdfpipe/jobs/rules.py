@@ -190,7 +190,7 @@ class Pipeline:
     def targets(self, wildcards: Any) -> list[str]:
         """The results that have to be made, or one of them if there is none: snakemake runs a rule without files always.
 
-        On the node of a cluster, which is told its jobs, all results.
+        On the node of a cluster, which gets the list of its jobs, all results.
         """
         files = self.files()
         return [path for path in files if path not in self.current] or files[:1]
