@@ -12,7 +12,7 @@ from brdfpipe.bsdf.measured import basis as bases
 _ASYMMETRIC = 5.0
 """Standard deviations by which the means of two sides differ significantly."""
 
-_FEWEST_CELLS = 10  # cells from which a dependence on azimuth can be told from noise
+_FEWEST_CELLS = 10  # cells from which a dependence on azimuth can be distinguished from noise
 _COMMON_SHARE = 0.5  # share of the wavelengths at which a surface with a lay must show it
 
 

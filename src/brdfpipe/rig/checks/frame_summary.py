@@ -81,7 +81,7 @@ class FrameSummary:
         light = np.asarray(camera.gain * (counts - level), dtype=np.float32)
         beyond = (light > camera.linear_to) | (counts >= camera.full)
         variance = camera.read_noise**2 + camera.gain**2 / 12
-        # Without a dark frame hot pixels cannot be told from hits.
+        # Without a dark frame hot pixels cannot be distinguished from hits.
         hits = 0
         if dark is not None:
             hits = cosmic_hits.replace_peaks(light, variance, hot_pixels(dark, rig))
