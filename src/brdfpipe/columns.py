@@ -88,10 +88,13 @@ def read_columns(path: Path) -> Columns:
     return parse_columns(text, path, notes)
 
 
-def read_text(path: Path, most_bytes: int = _MAX_BYTES, key: str | None = None) -> tuple[str, list[str]]:
+def read_text(
+    path: Path, most_bytes: int = _MAX_BYTES, key: str | None = None, if_binary: str = ""
+) -> tuple[str, list[str]]:
     """Text of a file in UTF-8, UTF-16 or Latin-1, and a note if it was not UTF-8.
 
-    Raises InputError: unreadable, too large, or binary; ``key`` is the key of material.yaml to set.
+    Raises InputError: unreadable, too large, or binary; ``key`` is the key of material.yaml to set, ``if_binary`` what else the message
+    accepts of a binary file.
     """
     try:
         if path.stat().st_size > most_bytes:
@@ -117,7 +120,8 @@ def read_text(path: Path, most_bytes: int = _MAX_BYTES, key: str | None = None) 
             # Minus signs and no-break spaces come from spreadsheets.
             text = text.translate({0x2212: "-", 0xA0: " ", 0x202F: " ", 0xFEFF: None})
         return text, [] if title == "UTF-8" else [f"{path.name} was decoded as {title}"]
-    raise InputError(path, "the file is binary, not text", accepted="text in UTF-8, UTF-16 or Latin-1", key=key)
+    accepted = f"text in UTF-8, UTF-16 or Latin-1{if_binary}"
+    raise InputError(path, "the file is binary, not text", accepted=accepted, key=key)
 
 
 def parse_columns(text: str, path: Path, notes: Sequence[str] = ()) -> Columns:

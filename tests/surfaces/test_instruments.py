@@ -244,6 +244,11 @@ def test_messages_name_no_key_that_cannot_help(shared_data: Path, tmp_path: Path
     with pytest.raises(InputError, match=r"damaged.*accepted: a whole Sensofar PLUX file") as refused:
         read_surface(tmp_path / "map.plux")
     assert "set `" not in str(refused.value)
+    with zipfile.ZipFile(tmp_path / "stripped.plux", "w") as archive:
+        archive.writestr("LAYER_0.raw", bytes(400))
+    with pytest.raises(InputError, match=r"`index\.xml` is missing.*accepted: a whole Sensofar PLUX file") as refused:
+        read_surface(tmp_path / "stripped.plux")
+    assert "set `" not in str(refused.value)
 
 
 def channel(name: str, values: np.ndarray, **changes: Any) -> SimpleNamespace:

@@ -45,10 +45,23 @@ def test_a_region_is_the_points_from_its_first_position_up_to_its_last(
     assert "as surface.region says" in part.attrs["history"]
 
 
-@pytest.mark.parametrize("region", [{"x": [20, 2]}, {"x": [0, 30]}, {"y": [0, 61], "unit": "pixels"}])
+@pytest.mark.parametrize("region", [{"x": [0, 30]}, {"x": [-1, 20]}, {"y": [0, 61], "unit": "pixels"}])
 def test_a_region_beyond_the_scan_is_refused(path: Path, region: dict[str, Any]) -> None:
     with pytest.raises(InputError, match=r"the region leaves the scan; found .*accepted: two rising numbers from 0 to"):
         read(path, region=region)
+
+
+@pytest.mark.parametrize("limits", [[20, 2], [3, 3]])
+def test_a_region_that_does_not_rise_is_called_that(path: Path, limits: list[float]) -> None:
+    with pytest.raises(
+        InputError, match=r"ends where it begins, or before; found .*two rising numbers from 0 to 25 um"
+    ):
+        read(path, region={"x": limits})
+
+
+def test_a_region_of_too_few_points_names_the_region(path: Path) -> None:
+    with pytest.raises(InputError, match=r"too few points .*found 60 x 10; .*set `surface\.region`"):
+        read(path, region={"x": [5, 10]})
 
 
 def test_a_line_has_a_stretch_and_no_y(tmp_path: Path) -> None:

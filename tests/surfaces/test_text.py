@@ -248,6 +248,76 @@ def test_rounded_positions_give_the_pitch_of_the_end_points(tmp_path: Path) -> N
     assert float(parameters(surface).Rdq) == pytest.approx(0.5**0.5, rel=4e-3)
 
 
+TITLED = [
+    ("X [mm];Y [mm];Z [µm]\n", "um", "mm"),
+    ("X;Y;Z\nmm;mm;um\n", "um", "mm"),
+    ("X;Y;Z\n[m];[m];[nm]\n", "nm", "m"),
+    ("# x (um), y (um), height (um)\n", "um", "um"),
+    ("Plaque 7\nX/mm Y/mm Z/nm\n", "nm", "mm"),
+    ("Lateral x um,Lateral y um,Raw Micrometer,,\n", "um", "um"),
+    ("x position (mm)  y position (mm)  height (µm)\n", "um", "mm"),
+    ("x,y,height [Nanometer]\n", "nm", "nm"),
+    ("x in millimetres\ty in millimetres\tz in microns\n", "um", "mm"),
+]
+
+
+@pytest.mark.parametrize(("titles", "unit", "lateral_unit"), TITLED)
+def test_titles_of_columns_state_the_units(
+    tmp_path: Path, asymmetric: xr.Dataset, titles: str, unit: str, lateral_unit: str
+) -> None:
+    size = {"nm": 1e3, "um": 1.0, "mm": 1e-3, "m": 1e-6}
+    rows = points(asymmetric) * [size[lateral_unit], size[lateral_unit], size[unit]]
+    text = titles + "".join(" ".join(f"{v:.9g}" for v in row) + "\n" for row in rows)
+    surface = read_surface(put(tmp_path, text, "map.xyz"))
+    np.testing.assert_allclose(surface.height, asymmetric.height, rtol=0, atol=PRINTED)
+    np.testing.assert_allclose(surface.y, asymmetric.y, rtol=1e-6)
+    assert f"The titles of the columns state heights in {unit}" in surface.attrs["history"]
+    assert vocabulary.warnings(surface) == []
+
+
+def test_a_titled_lateral_unit_counts_beside_a_declared_unit_of_heights(tmp_path: Path, asymmetric: xr.Dataset) -> None:
+    text = "x [nm] y [nm] z [um]\n" + "".join(
+        f"{1e3 * x:.9g} {1e3 * y:.9g} {z:.9g}\n" for x, y, z in points(asymmetric)
+    )
+    path = put(tmp_path, text, "map.xyz")
+    np.testing.assert_allclose(read_surface(path, unit="um").x, asymmetric.x, rtol=1e-6)
+    contradicted = read_surface(path, unit="mm", lateral_unit="um")
+    heights, warning = vocabulary.warnings(contradicted)[:2]
+    assert "state heights in um; they were read in mm. Correct `surface.unit`" in heights
+    assert "state positions in nm; they were read in um. Correct `surface.lateral_unit`" in warning
+
+
+@pytest.mark.parametrize(
+    "header",
+    ["Length 5 mm\n", "Parameter m\n", "Length;5 mm\n", "Step;2 um;Speed;1 mm\n", "x [V];z [V]\n", "Ra [um]\n"],
+)
+def test_words_above_the_numbers_that_are_no_titles_state_no_unit(
+    tmp_path: Path, line: xr.Dataset, header: str
+) -> None:
+    rows = "".join(f"{x:.4f};{z:.6f}\n" for x, z in zip(line.x.values, line.height.values, strict=True))
+    with pytest.raises(InputError, match="the unit of the heights is missing"):
+        read_surface(put(tmp_path, header + rows))
+
+
+def test_a_single_column_states_its_unit_in_brackets(tmp_path: Path, line: xr.Dataset) -> None:
+    rows = "\n".join(f"{1e3 * z:.3f}" for z in line.height.values)
+    surface = read_surface(put(tmp_path, "Height [nm]\n" + rows), lateral_unit="um", pitch=0.25)
+    np.testing.assert_allclose(surface.height, line.height, rtol=0, atol=PRINTED)
+    with pytest.raises(InputError, match="the unit of the heights is missing"):
+        read_surface(put(tmp_path, "Height in mm\n" + rows), pitch=0.25)
+
+
+def test_a_real_profile_states_its_units_in_the_titles(shared_data: Path) -> None:
+    surface = read_surface(shared_data / "surfaces" / "dektak-1.csv")
+    xr.testing.assert_equal(surface, read_surface(shared_data / "surfaces" / "dektak-1.csv", unit="um"))
+
+
+def test_a_binary_file_of_the_extension_dat_may_be_one_of_metropro(tmp_path: Path) -> None:
+    (tmp_path / "map.dat").write_bytes(bytes(range(256)))
+    with pytest.raises(InputError, match=r"binary, not text; .*`format: metropro` for a file of Zygo MetroPro"):
+        read_surface(tmp_path / "map.dat")
+
+
 def test_positions_printed_to_six_digits_are_accepted(tmp_path: Path) -> None:
     x = np.arange(3000) * 0.156e-3
     text = "".join(f"{a:.6g} {b:.5f}\n" for a, b in zip(x, np.sin(x * 1e3), strict=True))

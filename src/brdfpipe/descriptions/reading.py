@@ -384,7 +384,7 @@ def _wrong_value(error: ErrorDetails, value: Any, place: Declared) -> tuple[str,
         accepted += " (YAML reads yes, no, on and off as true and false)"
     if error["type"] in ("list_type", "tuple_type"):
         single = get_origin(place.annotation) is list and _fits(get_args(place.annotation)[0], value)
-        accepted = f"a list: [{value}]" if single else f"a list, {accepted}"
+        accepted = f"a list: [{value}]" if single else f"a list, {accepted}" if accepted else "a list"
     if error["type"] == "string_type" and isinstance(value, bool | int | float | date):
         accepted += " (text that YAML takes for a number, a date or a yes/no needs quotes)"
     return problem, accepted + _decimal_comma(error, value, place)

@@ -124,7 +124,7 @@ def examine(
     ----------
     surface : kind ``surface``
     file : raw file, for messages
-    keys : keys of ``surface`` that apply to the format of the file: messages suggest no other
+    keys : keys of ``surface`` that apply to the format of the file, and ``region`` where it was cropped: messages suggest no other
     unit : of the heights in the file [um], for messages
     left_out : where a mask leaves heights out, which then do not count as missing from the measurement
 
@@ -180,7 +180,7 @@ def _check_grid(shape: tuple[int, ...], pitches: list[float], file: Path, keys: 
             "too few points for a slope distribution",
             found=" x ".join(map(str, shape)),
             accepted=f"{LINE_MIN} or more along a line, {GRID_MIN} x {GRID_MIN} or more of an area",
-            **_applicable("layout", keys),
+            **_applicable("region" if "region" in keys else "layout", keys),
         )
 
 

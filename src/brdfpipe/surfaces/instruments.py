@@ -48,7 +48,7 @@ class Instrument:
     """Options of :func:`read_instrument` that apply."""
 
 
-_SECOND_READER = "upper edge first, as surfalize reads it"
+_SECOND_READER = f"{UNCONFIRMED}; surfalize reads it so too"
 
 INSTRUMENTS: Mapping[str, Instrument] = {
     "al3d": Instrument("Alicona AL3D", (".al3d",), "al3d-1.al3d", "confirmed: the camera's picture in the file"),
@@ -257,8 +257,10 @@ def _refusal(path: Path, title: str, error: Exception) -> InputError:
         return InputError(path, f"cannot be read ({error.strerror})")
     # Messages of the library describe the fault; those of other packages may contain folder names.
     from_library = type(error).__module__.startswith(LIBRARY) and str(error).strip()
-    # Another format helps where the file is not of this one, not where it is damaged.
-    is_another = type(error).__name__ in ("CannotDetectFileFormat", "FileFormatMismatch")
+    # Another format helps where the file is not of this one, not where it is damaged or a part of its archive is missing.
+    is_another = type(error).__name__ in ("CannotDetectFileFormat", "FileFormatMismatch") and not zipfile.is_zipfile(
+        path
+    )
     words = (
         str(error).strip().splitlines()[0][:120].replace(str(path), path.name) if from_library else type(error).__name__
     )

@@ -89,7 +89,8 @@ def read_surface(
     if region is not None:
         heights = selection.cropped(heights, region, path)
     heights = _without_spikes(heights, outliers or OUTLIERS[0], path)
-    return examine(surface_dataset(heights), path, chosen.options, heights.unit, heights.left_out)
+    keys = chosen.options if region is None else (*chosen.options, "region")
+    return examine(surface_dataset(heights), path, keys, heights.unit, heights.left_out)
 
 
 def _without_spikes(heights: Heights, outliers: str, path: Path) -> Heights:

@@ -110,10 +110,12 @@ def _range(limits: Sequence[float] | None, step: float, count: int, unit: str | 
     scale = 1.0 if unit == PIXELS else step
     extent = count * scale
     # Limits in µm are printed with few digits: half a point beyond the edge is the edge.
-    if not 0 <= limits[0] < limits[1] <= extent + 0.5 * scale:
+    rising = limits[0] < limits[1]
+    if not rising or not 0 <= limits[0] <= limits[1] <= extent + 0.5 * scale:
+        problem = "the region leaves the scan" if rising else "the region ends where it begins, or before"
         found = f"{limits[0]:g} to {limits[1]:g}"
         accepted = f"two rising numbers from 0 to {extent:.6g} {PIXELS if unit == PIXELS else 'um'}"
-        raise InputError(file, "the region leaves the scan", found=found, accepted=accepted, key=key)
+        raise InputError(file, problem, found=found, accepted=accepted, key=key)
     first, last = math.ceil(limits[0] / scale - 1e-6), min(count, math.ceil(limits[1] / scale - 1e-6))
     return slice(first, last)
 

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from brdfpipe import columns
 from brdfpipe.errors import InputError
+from brdfpipe.surfaces.column_titles import TitledUnits, titled_units
 from brdfpipe.surfaces.heights import LINES, UNSTATED, Heights, SurfaceFormat
 from brdfpipe.surfaces.units import UNITS, needed_steps, pitch_steps, scales
 
@@ -44,6 +45,8 @@ _TWO_PERCENT = 0.02
 _BLOCK = 2**22
 """Bytes of text that are examined at once."""
 _COMPARED = 33
+_HEADER_LINES = 8
+"""Lines above the numbers that are kept."""
 
 
 @dataclass(frozen=True)
@@ -58,6 +61,8 @@ class _Body:
     """Length of the profile according to the header [um]."""
     extent: tuple[float, ...] = ()
     """Width and height of the map according to the header of Gwyddion [um]; empty without one."""
+    header: tuple[str, ...] = ()
+    """The lines above the numbers."""
 
 
 def read_text(
@@ -76,14 +81,14 @@ def read_text(
         above the first line of numbers are skipped; of Gwyddion's, ``# Width``, ``# Height`` and ``# Value units`` are used
     layout : ``line`` (x and z, or z alone), ``grid`` (a row of heights a line, the first at y = 0) or ``xyz`` (in any
         order); by default from the shape: one row, one or two columns are a line, three columns are xyz, more a grid
-    unit, lateral_unit, pitch : by default from lines ``# unit: um``, ``# lateral_unit: mm``, ``# pitch: 0.5 0.5``; the pitch also from
-        x and y where the file has them
+    unit, lateral_unit, pitch : by default from lines ``# unit: um``, ``# lateral_unit: mm``, ``# pitch: 0.5 0.5``; the units also from the
+        titles of columns (``x [mm]; z [µm]``), the pitch from x and y where the file has them
 
     Returns
     -------
     Heights [um] in float64; NaN where the file has NaN, ***, NA, - or nothing between two separators, or omits points of a
     regular xyz grid. Warnings if the file may be truncated: the header states a greater length, the last row of points is
-    incomplete, or the last line has no line end and fewer decimals than those above.
+    incomplete, or the last line has no line end and fewer decimals than those above; and if titles of columns state other units.
 
     Notes
     -----
@@ -95,10 +100,12 @@ def read_text(
     text, notes = _decoded(path)
     body = _split_header(text, path)
     del text  # it may be large; the body is a copy
-    height_scale, lateral_scale = scales(path, body.settings, unit, lateral_unit, setting="a line `# unit: um`")
     table = _table(body, path)
-    steps = pitch_steps(path, body.settings, pitch)
     chosen = layout or ("grid" if body.extent and len(table) > 1 else _default_layout(table))
+    titles = None if chosen == "grid" else titled_units(body.header, table.shape[1])
+    settings = _with_titles(body.settings, titles)
+    height_scale, lateral_scale = scales(path, settings, unit, lateral_unit, setting="a line `# unit: um`")
+    steps = pitch_steps(path, settings, pitch)
     of_gwyddion = chosen == "grid" and len(body.extent) == 2
     if of_gwyddion:
         steps = _gwyddion_steps(table.shape, body.extent, lateral_scale, steps, path)
@@ -118,9 +125,39 @@ def read_text(
         height,
         pitch_x * lateral_scale,
         None if pitch_y is None else pitch_y * lateral_scale,
-        (*notes, *body.notes, *remarks),
-        _cut_warning(doubt),
+        (*notes, *body.notes, *_title_note(titles), *remarks),
+        (*_cut_warning(doubt), *_other_units(titles, height_scale, lateral_scale)),
         height_scale,
+    )
+
+
+def _with_titles(settings: dict[str, str], titles: TitledUnits | None) -> dict[str, str]:
+    """The settings of the file, completed by the units in the titles of columns."""
+    if titles is None:
+        return settings
+    lateral = {} if titles.lateral is None else {"lateral_unit": titles.lateral}
+    return {"unit": titles.height, **lateral, **settings}
+
+
+def _title_note(titles: TitledUnits | None) -> tuple[str, ...]:
+    if titles is None:
+        return ()
+    positions = f", positions in {titles.lateral}" if titles.lateral else ""
+    return (f"The titles of the columns state heights in {titles.height}{positions}.",)
+
+
+def _other_units(titles: TitledUnits | None, height_scale: float, lateral_scale: float) -> tuple[str, ...]:
+    """A warning for each unit that is not the one of the titles."""
+    if titles is None:
+        return ()
+    names = {scale: name for name, scale in UNITS.items() if name.isascii()}
+    return tuple(
+        f"The titles of the columns state {what} in {stated}; they were read in {names[scale]}. Correct `surface.{key}`, or the file."
+        for what, stated, scale, key in (
+            ("heights", titles.height, height_scale, "unit"),
+            ("positions", titles.lateral, lateral_scale, "lateral_unit"),
+        )
+        if stated is not None and UNITS[stated] != scale
     )
 
 
@@ -197,13 +234,16 @@ def _stops_within_a_row(points: NDArray[np.float64]) -> bool:
 
 
 def _decoded(path: Path) -> tuple[str, list[str]]:
-    text, notes = columns.read_text(path, _MAX_BYTES, key="surface.format")
+    # Zygo's binary files share the extension of many text files.
+    if_binary = "; or `format: metropro` for a file of Zygo MetroPro" if path.suffix.lower() == ".dat" else ""
+    text, notes = columns.read_text(path, _MAX_BYTES, "surface.format", if_binary)
     return re.sub(r"\r*\n|\r", "\n", text) if "\r" in text else text, notes
 
 
 def _split_header(text: str, path: Path) -> _Body:
     settings: dict[str, str] = {}
     extent: dict[str, float] = {}
+    above: list[str] = []
     skipped, offset = 0, 0
     for number, line in enumerate(_lines(text), 1):
         if setting := _SETTING.match(line):
@@ -220,9 +260,10 @@ def _split_header(text: str, path: Path) -> _Body:
             stated = _LENGTH.search(text[:offset])
             length = float(stated[1]) * UNITS[stated[2].lower()] if stated else None
             sides = (extent["width"], extent["height"]) if len(extent) == 2 and min(extent.values()) > 0 else ()
-            return _Body(_without_comments(text[offset:]), number, settings, notes, length, sides)
+            return _Body(_without_comments(text[offset:]), number, settings, notes, length, sides, tuple(above))
         skipped += bool(content)
         offset += len(line)
+        above = [*above, line][-_HEADER_LINES:] if line.strip() else above
     raise InputError(
         path,
         "the file is empty" if not text.strip() else "no line of numbers found",
@@ -472,7 +513,7 @@ FORMATS = (
     SurfaceFormat(
         "text",
         (".txt", ".csv", ".dat", ".asc", ".xyz"),
-        "unit (or a line `# unit: um`); pitch (or `# pitch: 0.5 0.5`) where there are no positions; neither with the header of a Gwyddion export, whose first row is the upper edge",
+        "unit (or a line `# unit: um`, or titles of columns with units, as `z [um]`); pitch (or `# pitch: 0.5 0.5`) where there are no positions; neither with the header of a Gwyddion export, whose first row is the upper edge",
         read_text,
         ("layout", *UNSTATED),
         tried="dektak-1.csv, nanovea_test1.txt; gwyddion-export-english.txt, refused: 4 x 3 points",
