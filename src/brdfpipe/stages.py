@@ -14,6 +14,7 @@ from functools import cached_property, lru_cache
 from pathlib import PurePath
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from brdfpipe.bsdf.predictions import PREDICTIONS
 from brdfpipe.catalogue.calibration_keys import EmulatedCalibration
 from brdfpipe.catalogue.material import BASE_INDEX, OTHER_FACES, ROUTES, unused_keys
 from brdfpipe.catalogue.material_keys import (
@@ -424,7 +425,7 @@ def source_of_bsdf(subject: Subject) -> str:
     """The stage whose dataset is the BSDF without the changes by the uncertainties of its inputs."""
     if subject.route != "predicted":
         return subject.route
-    return next(name for name in ("reference", "wave", "sheet", "coated", "predicted") if STAGES[name].jobs(subject))
+    return next(name for name in PREDICTIONS if STAGES[name].jobs(subject))
 
 
 EVERYWHERE = Domain({"hemisphere": {"theta_i": [0, 90], "phi_i": [0, 360]}})
@@ -646,6 +647,7 @@ _STAGES = (
         "the relief of the back of a clear body",
         when=_names_file("back_surface", "slab.back"),
         keys=_block("slab.back", _SCAN_KEYS),
+        script="other_surface",
         kind="surface",
         of_prediction=True,
     ),
@@ -670,6 +672,7 @@ _STAGES = (
         "the relief of the body below a coat",
         when=_names_file("base_surface", OTHER_FACES["base"]),
         keys=_block(OTHER_FACES["base"], _SCAN_KEYS),
+        script="other_surface",
         kind="surface",
         of_prediction=True,
     ),

@@ -231,7 +231,7 @@ def test_the_digest_of_a_stage_covers_every_module_that_its_run_loads(tmp_path: 
     raw = {"raw": str(example / "grain.x3p")}
     (tmp_path / "reflectance.txt").write_text("nm %\n" + "".join(f"{nm} 5\n" for nm in range(380, 781, 20)))
     run("surface", raw, same("surface"))
-    run("back_surface", raw, {"surface": "back"}, examples.spec("abs-grain", "surface"))
+    run("back_surface", raw, {"surface": "back_surface"}, examples.spec("abs-grain", "surface"))
     run("index", {}, same("index"))
     run("interior", {}, same("interior"), {"thickness": 2.0, "internal_transmittance": 0.95})
     run("facets", same("surface"), same("facets"))
@@ -252,7 +252,7 @@ def test_the_digest_of_a_stage_covers_every_module_that_its_run_loads(tmp_path: 
     faces = {"facets": "flat_facets", **same("psd", "interior", "index")}
     run("sheet", faces, same("sheet"), {"masking": "height-correlated", "optics": "auto"})
     run("sheet_uncertainty", faces | same("sheet"), same("sheet_uncertainty"))
-    run("base_surface", raw, {"surface": "base"}, examples.spec("abs-grain", "surface"))
+    run("base_surface", raw, {"surface": "base_surface"}, examples.spec("abs-grain", "surface"))
     run("base_facets", {}, {"facets": "base_facets"}, {"distribution": "flat"})
     run("base_index", {}, {"index": "base_index"}, {"index": 1.8})
     body = {**same("interior", "index", "spectrum", "base_facets", "base_index"), "facets": "flat_facets"}

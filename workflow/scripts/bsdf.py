@@ -1,4 +1,5 @@
 from brdfpipe import store
+from brdfpipe.bsdf.predictions import best_prediction
 
 NOT_STATED = "uncertainty_not_stated"
 UNCERTAIN = {
@@ -18,7 +19,7 @@ def main(input, output, params):
     inputs = {name: store.open_dataset(path, kinds[name]) for name, path in input.items()}
     source = spec["route"]
     if source == "predicted":
-        source = next(name for name in ("reference", "wave", "sheet", "coated", "predicted") if name in inputs)
+        source = best_prediction(inputs)
     bsdf = inputs[source].assign_attrs(route=spec["route"])
     if (changes := inputs.get(UNCERTAIN.get(source, ""))) is not None:
         # The changes of variables stand beside these.

@@ -1,4 +1,5 @@
 from brdfpipe import store
+from brdfpipe.bsdf.predictions import PREDICTIONS
 from brdfpipe.report import reading
 from brdfpipe.report.material.page import material_page
 
@@ -6,9 +7,7 @@ from brdfpipe.report.material.page import material_page
 def main(input, output, params):
     """The page of a material."""
     spec = params["spec"]
-    with reading.opened(
-        dict(input.items()), evaluated=("bsdf", "predicted", "wave", "sheet", "coated", "reference")
-    ) as datasets:
+    with reading.opened(dict(input.items()), evaluated=("bsdf", *PREDICTIONS)) as datasets:
         page = material_page(datasets, **spec)
     store.write_text(output["page"], page)
 

@@ -25,6 +25,7 @@ from markupsafe import Markup
 from numpy.typing import NDArray
 
 from brdfpipe import vocabulary
+from brdfpipe.bsdf.predictions import best_prediction
 from brdfpipe.bsdf.registry import representation
 from brdfpipe.errors import BrdfpipeError
 from brdfpipe.report.plots import bsdf_sections, measurement_coverage
@@ -184,19 +185,15 @@ def interpolation_error(
     return float(np.median(error)), float(np.percentile(error, 95))
 
 
-_PREDICTIONS = ("reference", "wave", "sheet", "coated", "predicted")
-"""Stages that predict a BSDF, the last one of a material first: that is the prediction which a measurement is compared with."""
-
-
 def viewer_data(datasets: Mapping[str, xr.Dataset]) -> dict[str, Any] | None:
     """What the viewer of a page shows; None without a BSDF that has a density, or where its directions are not covered.
 
     A measured BSDF is followed by the prediction of the same material, if there is one.
     """
     shown = {"BSDF": datasets.get("bsdf")}
-    prediction = next((datasets[stage] for stage in _PREDICTIONS if stage in datasets), None)
-    if prediction is not None and "bsdf" in datasets and datasets["bsdf"].attrs.get("route") == "measured":
-        shown = {"measured": datasets["bsdf"], "predicted": prediction}
+    predicted_by = best_prediction(datasets)
+    if predicted_by is not None and "bsdf" in datasets and datasets["bsdf"].attrs.get("route") == "measured":
+        shown = {"measured": datasets["bsdf"], "predicted": datasets[predicted_by]}
     planes: list[Plane] = []
     sets = []
     for name, bsdf in shown.items():
