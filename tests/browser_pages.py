@@ -9,6 +9,9 @@ from typing import Any
 
 def opened_page(browser: Any, path: Path) -> None:
     """Open a file, and forget the log of the pages before."""
+    browser.get(
+        "about:blank"
+    )  # a page at the same address, and the requests of the browser's own first page, are left behind
     browser.get_log("browser")
     browser.get_log("performance")
     browser.get(path.as_uri())

@@ -14,6 +14,7 @@ import xarray as xr
 from click.testing import CliRunner, Result
 
 from brdfpipe.cli import main as cli
+from brdfpipe.exchange.registry import FORMATS
 from brdfpipe.jobs.index import Index
 from brdfpipe.jobs.summary import Summary
 from brdfpipe.releases.causes import Cause
@@ -51,6 +52,27 @@ def test_the_shipped_scenes_are_listed() -> None:
     lines = run("scenes").output.splitlines()
     assert lines[0].startswith("catalogue: ")
     assert any(line.startswith("gloss-sheet: ") and line.endswith("(gloss, haze)") for line in lines)
+
+
+def test_check_verify_scenes_and_formats_print_json_for_scripts(tmp_path: Path) -> None:
+    write(tmp_path / "catalogue", "good")
+    write(tmp_path / "catalogue", "bad", "spectrm: 1\n")
+    done = run("check", tmp_path / "catalogue", "--json")
+    found = json.loads(done.stdout)
+    assert done.exit_code == 1
+    assert found["ok"] == {"good": "ok (spectrum L*a*b*)"}
+    assert found["wrong"]["bad"][0].startswith("material.yaml, line 1: unknown key 'spectrm'")
+    assert json.loads(run("scenes", "--json").stdout)["gloss-sheet"]["results"] == ["gloss", "haze"]
+    formats = json.loads(run("formats", "--json").stdout)
+    assert formats.keys() == set(FORMATS)
+    assert all(one["description"] for one in formats.values())
+    with zipfile.ZipFile(tmp_path / "a.zip", "w") as archive:
+        archive.writestr(METADATA, '{"@graph": []}')
+        archive.writestr("a\x1b[2J\u202e", "")
+    damaged = run("verify", tmp_path / "a.zip", "--json")
+    assert damaged.exit_code == 1
+    assert json.loads(damaged.stdout)["problems"] == ["a\x1b[2J\u202e: is not in the metadata"]
+    assert damaged.stdout.isascii()
 
 
 def test_check_refuses_a_scene_that_cannot_be_used(tmp_path: Path) -> None:

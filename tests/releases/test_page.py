@@ -65,3 +65,14 @@ def test_changes_causes_and_history_are_shown_and_unchanged_materials_are_not() 
         assert words in html
     assert html.count("<svg") == 2
     assert "grey" not in html
+
+
+def test_a_page_in_the_results_links_to_their_pages_and_shows_their_pictures() -> None:
+    items = [Difference("a b", "gloss-sheet", "changed"), Difference("gone", "", "removed", (True, False))]
+    pictures = {("gloss-sheet", "a b"): "data:image/webp;base64,AA"}
+    html = changes_page(items, {}, ["monday", "out"], pictures=pictures, linked=True)
+    assert '<a href="scenes/gloss-sheet/a%20b/report.html">' in html
+    assert html.count('src="data:image/webp;base64,AA"') == 1
+    assert 'href="index.html"' in html
+    assert "gone/report.html" not in html
+    assert "href" not in changes_page(items, {}, ["monday", "tuesday"])

@@ -12,7 +12,7 @@ from browser_pages import console_and_requests, opened_page
 from material_datasets import Datasets
 
 from brdfpipe.bsdf.registry import representation
-from brdfpipe.report import material_page, viewer
+from brdfpipe.report import material_page, rendering, viewer
 from brdfpipe.report.plots import bsdf_sections
 
 CASES = {
@@ -54,13 +54,13 @@ def test_a_coarser_grid_would_exceed_the_bound(monkeypatch: pytest.MonkeyPatch) 
 def test_data_of_a_page_is_small_and_states_its_error(full: Datasets) -> None:
     data = viewer.viewer_data(full)
     assert data is not None
-    assert len(viewer.as_json(data)) < 400_000
+    assert len(rendering.as_json(data)) < 400_000
     for one in data["sets"]:
         assert one["error"][1] is None or 0 <= one["error"][1] < 0.2
 
 
 def test_json_cannot_end_its_element() -> None:
-    assert "<" not in viewer.as_json({"name": "</script><script>alert(1)</script>"})
+    assert "<" not in rendering.as_json({"name": "</script><script>alert(1)</script>"})
 
 
 def test_without_a_bsdf_there_is_no_viewer() -> None:

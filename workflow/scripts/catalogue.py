@@ -15,12 +15,12 @@ def main(input, output, params):
         stage="catalogue",
         material="catalogue",
         inputs={row["material"].values[0]: row for row in rows},
-        parameters={name: value for name, value in spec.items() if name != "others"},
+        parameters={name: value for name, value in spec.items() if name not in ("others", "changes")},
     )
     failures = spec["failures"]
     store.write_text(output["csv"], catalogue_csv(catalogue, failures))
     store.write_text(output["lock"], lock(catalogue))
-    shown = {"scene": spec.get("scene"), "others": spec.get("others", [])}
+    shown = {"scene": spec.get("scene"), "others": spec.get("others", []), "changes": spec.get("changes", "")}
     store.write_text(output["page"], catalogue_page(catalogue, failures, pages=pages, **shown))
 
 

@@ -6,7 +6,7 @@ from brdfpipe.report.catalogue.rows import summarise
 def main(input, output, params):
     """The row of a material in the catalogue."""
     spec = params["spec"]
-    with reading.opened(dict(input.items())) as datasets:
+    with reading.opened(dict(input.items()), evaluated=("bsdf",)) as datasets:
         store.save_dataset(
             summarise(datasets, **spec),
             output["summary"],

@@ -16,9 +16,12 @@ DEFAULTS = "catalogue.yaml"
 CALIBRATIONS, CALIBRATION = "calibrations", "calibration.yaml"
 """A catalogue describes the calibrations of its rigs in this folder, each in a folder of its own with this description."""
 
+CHANGES = "changes.html"
+"""Page of ``brdfpipe diff`` in a folder of results; the page of the catalogue links to it."""
+
 RESERVED = frozenset(
     {"logs", "failures", "exports", "calibrations", "scenes", "catalogue", "index", "index.html"}
-    | {"catalogue.nc", "catalogue.csv", "catalogue.lock.json"}
+    | {"catalogue.nc", "catalogue.csv", "catalogue.lock.json", CHANGES}
 )
 """Names with another meaning in the folder of results."""
 

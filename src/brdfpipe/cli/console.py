@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import sys
 from collections.abc import Callable
 from functools import wraps
@@ -21,6 +22,11 @@ FILE = click.Path(path_type=Path, dir_okay=False, exists=True)
 
 FILE_KINDS = ("bsdf", "surface", "spectrum", "index")
 """What a file may hold that a command reads."""
+
+
+def print_json(plain: object) -> None:
+    """Plain values as JSON on the standard output, for scripts; ASCII alone, so that no character of a name acts on a terminal."""
+    click.echo(json.dumps(plain, indent=1))
 
 
 def exit_on_error(command: Callable[Arguments, int]) -> Callable[Arguments, None]:

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import click
 
-from brdfpipe.cli.console import FILE, FOLDER, PRESENT, exit_on_error
+from brdfpipe.cli.console import FILE, FOLDER, PRESENT, exit_on_error, print_json
 from brdfpipe.cli.doctor import doctor
 from brdfpipe.cli.rig import rig
 from brdfpipe.cli.serving import serve
@@ -129,8 +129,9 @@ def prune(catalogue: Path, results: Path, keep: int, dry_run: bool) -> int:
 @click.option(
     "--read", "reads", is_flag=True, help="Read every raw file too, as the build does, and say what it holds."
 )
+@click.option("--json", "as_json", is_flag=True, help="Print what was found as JSON instead of lines.")
 @exit_on_error
-def check(catalogue: Path, config: Path | None, scene: str | None, reads: bool) -> int:
+def check(catalogue: Path, config: Path | None, scene: str | None, reads: bool, as_json: bool) -> int:
     """Check descriptions, keys, scenes, files and formats of CATALOGUE; raw files are read with --read alone.
 
     Lists every mistake of a description. What only the content of a raw file shows, such as a text file whose unit or pitch must be a
@@ -160,17 +161,30 @@ def check(catalogue: Path, config: Path | None, scene: str | None, reads: bool) 
         else:
             unused = "".join(f"; `{key}` is not used: {why}" for key, why in unused_keys(material.content).items())
             summaries[material.name] = f"ok ({', '.join(summary_words(material))}){unused}"
+    skipped, notices = ignored(loaded.folder), list(scene_notices(loaded.scenes, loaded.config))
+    if as_json:
+        further = loaded.further_problems
+        found = {
+            "ok": dict(sorted(summaries.items())),
+            "wrong": {name: [problems[name], *further.get(name, ())] for name in sorted(problems)},
+            "contents": {name: list(lines) for name, lines in sorted(contents.items()) if lines},
+            "ignored": skipped,
+            "unused_defaults": list(loaded.unused_defaults),
+            "notices": notices,
+        }
+        print_json(found)
+        return 1 if problems else 0
     for name, message in sorted({**problems, **summaries}.items()):
         click.echo(f"{name}: {message}")
         for line in contents.get(name, ()):
             click.echo(printable(f"  {line}"))
-        for further in loaded.further_problems.get(name, ()):
-            click.echo(f"  also {further}")
-    for name, reason in ignored(loaded.folder).items():
+        for mistake in loaded.further_problems.get(name, ()):
+            click.echo(f"  also {mistake}")
+    for name, reason in skipped.items():
         click.echo(f"{name}: ignored: {reason}")
     for key in loaded.unused_defaults:
         click.echo(f"{loaded.defaults.path.name}: `{key}` is not used: no material inherits it")
-    for notice in scene_notices(loaded.scenes, loaded.config):
+    for notice in notices:
         click.echo(notice)
     click.echo(f"{len(summaries)} ok, {len(problems)} wrong")
     return 1 if problems else 0
@@ -193,6 +207,7 @@ def diff(older: tuple[Path, ...], new: Path, as_json: bool, html: Path | None) -
     import json
 
     from brdfpipe import store
+    from brdfpipe.catalogue.names import CHANGES
     from brdfpipe.releases import words
     from brdfpipe.releases.differences import differences, read_releases
 
@@ -205,7 +220,19 @@ def diff(older: tuple[Path, ...], new: Path, as_json: bool, html: Path | None) -
         from brdfpipe.releases.history import histories
         from brdfpipe.releases.page import changes_page
 
-        store.write_text(html, changes_page(found, histories(releases), [folder.resolve().name for folder in folders]))
+        pictures = {
+            (Path(scene).name, name): str(row["thumbnail"].values)
+            for scene, one in releases[-1].items()
+            for name, row in one.rows.items()
+        }
+        written = changes_page(
+            found,
+            histories(releases),
+            [folder.resolve().name for folder in folders],
+            pictures=pictures,
+            linked=html.name == CHANGES and (html.parent / "index.html").is_file(),
+        )
+        store.write_text(html, written)
     text = json.dumps(words.plain(found), indent=1, ensure_ascii=False) if as_json else "\n".join(words.lines(found))
     click.echo(text if as_json else printable(text))
     return 0
@@ -262,8 +289,9 @@ def release(catalogue: Path, metadata: Path, results: Path, config: Path | None,
 
 @main.command(short_help="Check that no file of RESULTS is damaged.")
 @click.argument("results", type=click.Path(path_type=Path, exists=True))
+@click.option("--json", "as_json", is_flag=True, help="Print the problems as JSON instead of lines.")
 @exit_on_error
-def verify(results: Path) -> int:
+def verify(results: Path, as_json: bool) -> int:
     """Compute the digests of all files of RESULTS again: a folder of results, or an archive of `brdfpipe release`.
 
     Exit code: 1 if a file is damaged, missing or unknown.
@@ -271,6 +299,9 @@ def verify(results: Path) -> int:
     from brdfpipe.releases.verification import verify_archive, verify_results
 
     problems = verify_results(results) if results.is_dir() else verify_archive(results)
+    if as_json:
+        print_json({"results": str(results), "problems": problems})
+        return 1 if problems else 0
     for problem in problems:
         click.echo(printable(problem))
     count = f"{len(problems)} problem{'s' if len(problems) > 1 else ''}"
@@ -279,13 +310,17 @@ def verify(results: Path) -> int:
 
 
 @main.command(short_help="List the shipped scenes.")
+@click.option("--json", "as_json", is_flag=True, help="Print their keys as JSON instead of lines.")
 @exit_on_error
-def scenes() -> int:
+def scenes(as_json: bool) -> int:
     """List the shipped scenes, their purposes and what they ask for."""
     from brdfpipe.scenes.scene import load_scene, shipped_scenes
 
-    for name in shipped_scenes():
-        content = load_scene(name).content
+    contents = {name: load_scene(name).content for name in shipped_scenes()}
+    if as_json:
+        print_json(contents)
+        return 0
+    for name, content in contents.items():
         click.echo(f"{name}: {content['purpose']} ({', '.join(content['results'])})")
     return 0
 

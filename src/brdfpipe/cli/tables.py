@@ -6,10 +6,11 @@ import json
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import click
 
-from brdfpipe.cli.console import FILE, exit_on_error
+from brdfpipe.cli.console import FILE, exit_on_error, print_json
 from brdfpipe.errors import InputError, printable
 from brdfpipe.exchange.registry import FORMATS, GRID_OPTIONS, QUANTITIES, WRITTEN
 
@@ -168,24 +169,34 @@ def _without_nan(value: object) -> object:
 
 
 @click.command(short_help="List the formats of other programs.")
+@click.option("--json", "as_json", is_flag=True, help="Print them as JSON instead of lines.")
 @exit_on_error
-def formats() -> int:
+def formats(as_json: bool) -> int:
     """List the formats of other programs: what their files hold, the endings of files, and the options of writing.
 
     netCDF (.nc) holds the BSDF itself and needs no format.
     """
-    for name, known in FORMATS.items():
-        click.echo(f"{name}: {known.description}")
-        suffixes = [group[0] for side in known.files.values() for group in side.values()]
-        if suffixes:
-            click.echo(f"    written: {' '.join(suffixes)}")
-        if known.read:
-            click.echo(f"    read: {' '.join(known.readable_suffixes)}")
-        options = {**(GRID_OPTIONS if known.takes == "grid" else {}), **known.options}
-        if options:
+    listing: dict[str, dict[str, Any]] = {
+        name: {
+            "description": known.description,
+            "written": [group[0] for side in known.files.values() for group in side.values()],
+            "read": list(known.readable_suffixes) if known.read else [],
+            "options": {**(GRID_OPTIONS if known.takes == "grid" else {}), **known.options},
+        }
+        for name, known in FORMATS.items()
+    }
+    if as_json:
+        print_json(listing)
+        return 0
+    for name, one in listing.items():
+        click.echo(f"{name}: {one['description']}")
+        for direction in ("written", "read"):
+            if one[direction]:
+                click.echo(f"    {direction}: {' '.join(one[direction])}")
+        if one["options"]:
             listed = (
                 f"{option}={value if isinstance(value, str) else json.dumps(value)}"
-                for option, value in options.items()
+                for option, value in one["options"].items()
             )
             click.echo(f"    options: {' '.join(listed)}")
     return 0

@@ -9,7 +9,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from brdfpipe.catalogue.catalogue import Catalogue
-from brdfpipe.catalogue.names import RESERVED
+from brdfpipe.catalogue.names import CHANGES, RESERVED
 from brdfpipe.scenes.scene import FOLDER
 
 TEMPORARY = re.compile(r"\..+\.\d+\.tmp")
@@ -19,8 +19,8 @@ STALE = "STALE.txt"
 """File that marks the results of a material as older than the catalogue."""
 
 
-NOTES = ("logs", "failures")
-"""Folders of results that hold notes of builds."""
+NOTES = ("logs", "failures", CHANGES)
+"""Folders and files of results that are notes about builds, not their results."""
 
 
 def remove_leftovers(results: Path, log: str) -> None:

@@ -16,6 +16,7 @@ from brdfpipe import installation
 from brdfpipe.catalogue.calibration import Calibration
 from brdfpipe.catalogue.catalogue import Catalogue
 from brdfpipe.catalogue.material import Material
+from brdfpipe.catalogue.names import CHANGES
 from brdfpipe.jobs.index import digest_of
 from brdfpipe.jobs.rules import scenes_present
 from brdfpipe.jobs.runs import planned_runs, results_folder
@@ -35,6 +36,7 @@ def fingerprint(catalogue: Catalogue, results: Path) -> str:
             "refused": catalogue.failures,
             "config": catalogue.config,
             "present": scenes_present(results, catalogue),
+            "changes": (results / CHANGES).is_file(),
             "sources": list(_sources()),
             "libraries": sorted({name for folder in sys.path for name in _installed(folder)}),
             "python": sys.version,

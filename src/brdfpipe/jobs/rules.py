@@ -12,7 +12,7 @@ from brdfpipe.catalogue.calibration import Calibration
 from brdfpipe.catalogue.catalogue import Catalogue, load
 from brdfpipe.catalogue.configuration import load_config
 from brdfpipe.catalogue.material import Material
-from brdfpipe.catalogue.names import CALIBRATIONS, CatalogueError
+from brdfpipe.catalogue.names import CALIBRATIONS, CHANGES, CatalogueError
 from brdfpipe.jobs import code, pool
 from brdfpipe.jobs.index import digest_of, shared_index
 from brdfpipe.jobs.runs import planned_runs, results_folder
@@ -309,6 +309,8 @@ class Pipeline:
             parameters["scene"] = {"name": scene.name, "purpose": scene.content["purpose"]}
         if others := sorted(name for name in self.scenes_present if name != scene.name):
             parameters["others"] = [(name, _link(name, scene.name)) for name in others]
+        if Path(CHANGES).is_file():
+            parameters["changes"] = f"{'../../' if folder else ''}{CHANGES}"
         return parameters
 
     def run(self, rule: str, wildcards: Any, input: Any, output: Any, params: Any) -> None:

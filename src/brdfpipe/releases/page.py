@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any
+from urllib.parse import quote
 
 import numpy as np
 from markupsafe import Markup
@@ -14,12 +15,18 @@ from brdfpipe.releases.differences import ADDED, CHANGED, REMOVED, UNCHANGED, Di
 from brdfpipe.releases.history import History
 from brdfpipe.releases.words import findings
 from brdfpipe.report.rendering import render
+from brdfpipe.scenes.scene import FOLDER
 
 _WIDTH, _HEIGHT, _MARGIN = 120, 28, 3
 
 
 def changes_page(
-    differences: Sequence[Difference], histories: Mapping[tuple[str, str], History], names: Sequence[str]
+    differences: Sequence[Difference],
+    histories: Mapping[tuple[str, str], History],
+    names: Sequence[str],
+    *,
+    pictures: Mapping[tuple[str, str], str] | None = None,
+    linked: bool = False,
 ) -> str:
     """The page, one HTML file that requests nothing from elsewhere.
 
@@ -28,13 +35,22 @@ def changes_page(
     differences : between the last two releases
     histories : (scene, material) → numbers over all releases
     names : of the releases, the oldest first
+    pictures : (scene, material) → small picture of the material now, a data URI
+    linked : whether the page will be in the folder of the last release, and so links to its catalogue and the pages of its materials
     """
+    shown = pictures or {}
     counts = Counter(item.status for item in differences)
     return render(
         "changes.html.j2",
         names=list(names),
         counts=[(counts[status], status) for status in (CHANGED, ADDED, REMOVED, UNCHANGED)],
-        rows=[_row(item, histories) for item in differences if item.status != UNCHANGED],
+        linked=linked,
+        rows=[
+            _row(item, histories)
+            | {"picture": shown.get((item.scene, item.material), ""), "link": _link(item) if linked else ""}
+            for item in differences
+            if item.status != UNCHANGED
+        ],
     )
 
 
@@ -50,6 +66,12 @@ def _row(item: Difference, histories: Mapping[tuple[str, str], History]) -> dict
         "causes": item.causes,
         "charts": [(label, sparkline(values), _span(values)) for label, values in charts if np.isfinite(values).any()],
     }
+
+
+def _link(item: Difference) -> str:
+    """The page of a material, if it is built, in relation to the results."""
+    folder = f"{FOLDER}/{quote(item.scene, safe='')}/" if item.scene else ""
+    return f"{folder}{quote(item.material, safe='')}/report.html" if item.built[1] and item.status != REMOVED else ""
 
 
 def sparkline(values: Array) -> Markup:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from base64 import b64encode
 from collections.abc import Mapping
@@ -31,6 +32,12 @@ OTHER_SECTIONS = frozenset({"reduced", "primary", "smoothed", "calibration", "co
 def render(template: str, **context: Any) -> str:
     """A page from its template; every value that is not :class:`Markup` is escaped, and no character of any is hidden."""
     return printable(_environment().get_template(template).render(**context))
+
+
+def as_json(data: object) -> Markup:
+    """JSON in which no character can end the element of the page that holds it."""
+    text = json.dumps(data, ensure_ascii=True, allow_nan=False, separators=(",", ":"))
+    return Markup(text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026"))
 
 
 def with_code(text: object) -> Markup:

@@ -8,7 +8,6 @@ schema.org, Dataset (https://schema.org/Dataset). Who made the data and under wh
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Iterable, Mapping
 from typing import Any
@@ -18,6 +17,7 @@ from markupsafe import Markup
 
 from brdfpipe.appearance.quantities import quantities
 from brdfpipe.file_formats import media_type
+from brdfpipe.report.rendering import as_json
 
 _CONTEXT = "https://schema.org"
 
@@ -91,8 +91,4 @@ def _download(path: str) -> dict[str, str]:
 
 
 def _markup(content: Mapping[str, Any]) -> Markup:
-    """JSON for an element of the page: ASCII alone, and without the characters of tags and entities."""
-    text = json.dumps({"@context": _CONTEXT, **content}, ensure_ascii=True, allow_nan=False, separators=(",", ":"))
-    for character in "<>&":
-        text = text.replace(character, f"\\u{ord(character):04x}")
-    return Markup(text)
+    return as_json({"@context": _CONTEXT, **content})

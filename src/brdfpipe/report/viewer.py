@@ -12,7 +12,6 @@ the same; :func:`interpolated` is its reference, by which the page states the er
 
 from __future__ import annotations
 
-import json
 import math
 from base64 import b64encode
 from collections.abc import Mapping
@@ -21,7 +20,6 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
-from markupsafe import Markup
 from numpy.typing import NDArray
 
 from brdfpipe import vocabulary
@@ -284,9 +282,3 @@ def _packed(logs: Array, low: float, high: float | None) -> str:
     span = ((high if high is not None else low) - low) or 1.0
     levels = 1 + np.clip((logs - low) / span, 0, 1) * (_LEVELS - 1)
     return b64encode(np.where(np.isfinite(logs), levels.round(), 0).astype("<u2").tobytes()).decode()
-
-
-def as_json(data: Mapping[str, Any]) -> Markup:
-    """JSON in which no character can end the element of the page that holds it."""
-    text = json.dumps(data, ensure_ascii=True, allow_nan=False, separators=(",", ":"))
-    return Markup(text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026"))

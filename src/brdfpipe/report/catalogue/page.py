@@ -4,24 +4,23 @@ from __future__ import annotations
 
 import math
 import re
-from base64 import b64encode
 from collections import Counter
 from collections.abc import Container, Mapping, Sequence
-from hashlib import sha256
 from typing import Any
 from urllib.parse import quote
 
 import numpy as np
 import xarray as xr
-from markupsafe import Markup
 
 from brdfpipe import vocabulary
 from brdfpipe.appearance.quantities import AppearanceQuantity
 from brdfpipe.appearance.verdicts import VERDICTS
-from brdfpipe.report import structured_data
+from brdfpipe.report import rendering, structured_data
+from brdfpipe.report.catalogue import cuts
 from brdfpipe.report.catalogue.rows import listed_quantities, texts
 from brdfpipe.report.formatting import MISSING, colour, value_with_u
-from brdfpipe.report.rendering import TEMPLATES, render
+from brdfpipe.report.plots.bsdf_sections import REFERENCE_WAVELENGTH
+from brdfpipe.report.rendering import as_json, render
 
 _UNITS = {"um": "µm", "cd m-2": "cd/m²"}
 """Units in headings."""
@@ -40,6 +39,7 @@ def catalogue_page(
     pages: Container[str] | None = None,
     scene: Mapping[str, str] | None = None,
     others: Sequence[tuple[str, str]] = (),
+    changes: str = "",
 ) -> str:
     """The page of the catalogue: a table that is readable without scripts, and sorts and filters with its own script.
 
@@ -50,12 +50,12 @@ def catalogue_page(
     pages : materials that have a page; by default all
     scene : ``name`` and ``purpose`` of the scene; None for the default one
     others : names of the other scenes whose catalogues are in the same results, and the links to their pages
+    changes : link to the page of what changed since an earlier build; empty without one
 
     Returns
     -------
     HTML in one file; its policy allows the inline script by its hash, and no request to elsewhere
     """
-    script = (TEMPLATES / "catalogue.js").read_text("utf-8")
     vocabulary.validate(catalogue, "catalogue")
     listed = listed_quantities(catalogue.variables)
     shown = [
@@ -63,12 +63,17 @@ def catalogue_page(
         for quantity in listed
         if quantity.listed and np.isfinite(catalogue[quantity.name].values.astype(float)).any()
     ]
+    order = _order(catalogue)
+    script, script_hash = rendering.script("uPlot.js", "catalogue.js")
     named = scene or {"name": "", "purpose": ""}
     return render(
         "catalogue.html.j2",
         linked_data=structured_data.of_catalogue(named["name"], named["purpose"]),
-        script=Markup(script),
-        script_hash=b64encode(sha256(script.encode()).digest()).decode(),
+        script=script,
+        script_hash=script_hash,
+        data=as_json(_data(catalogue, [quantity.name for quantity in shown], order)),
+        offsets=cuts.OFFSETS.size,
+        wavelength_words=f"at the wavelength of each material nearest to {REFERENCE_WAVELENGTH:g} nm",
         headings=[
             f"{quantity.label}, {_UNITS[quantity.unit]}" if quantity.unit in _UNITS else quantity.label
             for quantity in shown
@@ -79,18 +84,19 @@ def catalogue_page(
             if quantity.applicability and quantity.applicability.blank
         ],
         pictured=any(texts(catalogue, "thumbnail")),
-        rows=_page_rows(catalogue, shown, pages),
+        rows=_page_rows(catalogue.isel(material=order), shown, pages),
         failures=[(name, str(e.get("stage", "")), str(e.get("message", ""))) for name, e in sorted(failures.items())],
         counts=Counter(texts(catalogue, "verdict")),
         scene=scene,
         others=others,
+        changes=changes,
     )
 
 
 def _page_rows(
     catalogue: xr.Dataset, shown: Sequence[AppearanceQuantity], pages: Container[str] | None
 ) -> list[dict[str, Any]]:
-    """The rows in the order of the page: worst verdict first, then by name."""
+    """What the table shows, row by row."""
     columns = [_cells(catalogue, quantity) for quantity in shown]
     names, descriptions, bases = (texts(catalogue, name) for name in ("material", "description", "basis"))
     rows = {
@@ -105,9 +111,30 @@ def _page_rows(
         "reason": [_shortened(reason, _LONGEST_REASON) for reason in texts(catalogue, "verdict_text")],
         "warnings": catalogue["warning_count"].values.tolist(),
     }
+    return [dict(zip(rows, values, strict=True)) for values in zip(*rows.values(), strict=True)]
+
+
+def _order(catalogue: xr.Dataset) -> list[int]:
+    """The rows in the order of the page: worst verdict first, then by name."""
     rank = {verdict: k for k, verdict in enumerate(VERDICTS)}
-    records = [dict(zip(rows, values, strict=True)) for values in zip(*rows.values(), strict=True)]
-    return sorted(records, key=lambda row: (rank.get(row["verdict"], len(rank)), _natural_key(row["name"])))
+    names, verdicts = texts(catalogue, "material"), texts(catalogue, "verdict")
+    return sorted(range(len(names)), key=lambda k: (rank.get(verdicts[k], len(rank)), _natural_key(names[k])))
+
+
+def _data(catalogue: xr.Dataset, shown: Sequence[str], order: Sequence[int]) -> dict[str, Any]:
+    """What the script needs beside the table, in the order of its rows: colours, routes and cuts of the BRDFs."""
+    rows = catalogue.isel(material=order)
+    lab = np.stack([rows[name].values.astype(float) for name in "Lab"], axis=-1).round(2)
+    route = texts(rows, "route")
+    routes = sorted(set(route))
+    return {
+        "quantities": list(shown),
+        "lab": [None if np.isnan(one).any() else one.tolist() for one in lab],
+        "routes": routes,
+        "route": [routes.index(one) for one in route],
+        "scale": cuts.scale(),
+        "cuts": cuts.packed(rows["brdf_cut"].values),
+    }
 
 
 def _cells(catalogue: xr.Dataset, quantity: AppearanceQuantity) -> list[tuple[str, str, str]]:

@@ -18,6 +18,7 @@ from brdfpipe.appearance.origin import basis, route, uncertainty_not_stated
 from brdfpipe.appearance.quantities import AppearanceQuantity, applicabilities, quantities, quantities_on_request
 from brdfpipe.appearance.verdicts import Acceptances, overall, reason_to_accept, stage_warnings
 from brdfpipe.errors import VocabularyError
+from brdfpipe.report.catalogue.cuts import INCIDENCES, OFFSETS, lobe_cut
 from brdfpipe.report.formatting import colour
 from brdfpipe.report.plots.svg import data_uri
 from brdfpipe.report.rendering import material_name, own_stages
@@ -60,7 +61,8 @@ def summarise(datasets: Mapping[str, xr.Dataset], *, description: str = "", acce
     Returns
     -------
     Dataset of kind ``catalogue``, dimension ``material`` of length 1: the quantities of :mod:`brdfpipe.appearance.quantities`, NaN
-    where not known or not applicable, and of those on request the ones that were computed; :func:`text_columns`; ``warning_count``; ``srgb`` (material, channel), NaN where not known
+    where not known or not applicable, and of those on request the ones that were computed; :func:`text_columns`; ``warning_count``; ``srgb`` (material, channel), NaN where not
+    known; ``brdf_cut`` (material, cut_incidence, cut_offset), of :func:`.cuts.lobe_cut`
     """
     known = own_stages(datasets)
     digests = {stage: str(dataset.attrs["digest"]) for stage, dataset in known.items() if "digest" in dataset.attrs}
@@ -80,6 +82,7 @@ def summarise(datasets: Mapping[str, xr.Dataset], *, description: str = "", acce
         "description": description,
         "warning_count": sum(reason_to_accept(text, accepted) is None for _, text in stage_warnings(known)),
         "srgb": appearance["srgb"].values if "srgb" in appearance else np.full(3, np.nan),
+        "brdf_cut": lobe_cut(known.get("bsdf")),
     }
     return _dataset([row])
 
@@ -96,7 +99,7 @@ def combine(rows: Sequence[xr.Dataset]) -> xr.Dataset:
     VocabularyError : a row is of another kind or lacks a variable, or two rows have the same name.
     """
     requested = [one.name for one in quantities_on_request() if any(one.name in row.variables for row in rows)]
-    columns = ("material", *_number_columns(), *text_columns(), "warning_count", "srgb")
+    columns = ("material", *_number_columns(), *text_columns(), "warning_count", "srgb", "brdf_cut")
     for row in rows:
         if row.attrs.get("kind") != "catalogue":
             raise VocabularyError(f"expected a dataset of kind 'catalogue', found kind {row.attrs.get('kind')!r}")
@@ -172,7 +175,17 @@ def _dataset(rows: Sequence[Mapping[str, Any]]) -> xr.Dataset:
     # Not the vocabulary's ``srgb``: NaN for a material without a colour.
     srgb = np.array([row["srgb"] for row in rows], dtype=float).reshape(len(rows), 3)
     variables["srgb"] = (("material", "channel"), srgb)
-    coordinates = {"material": column("material", str, long_name="name of the material"), "channel": list("RGB")}
+    cuts = np.array([row["brdf_cut"] for row in rows], dtype=np.float32).reshape(
+        len(rows), INCIDENCES.size, OFFSETS.size
+    )
+    words = {"units": "sr-1", "long_name": "BRDF in the plane of incidence, for the comparison on the page"}
+    variables["brdf_cut"] = (("material", "cut_incidence", "cut_offset"), cuts, words)
+    angles = {
+        "cut_incidence": ("cut_incidence", INCIDENCES, {"units": "degree", "long_name": "angle of incidence"}),
+        "cut_offset": ("cut_offset", OFFSETS, {"units": "degree", "long_name": "angle from the mirror direction"}),
+    }
+    names = column("material", str, long_name="name of the material")
+    coordinates = {"material": names, "channel": list("RGB"), **angles}
     return vocabulary.label(xr.Dataset(variables, coords=coordinates), "catalogue")
 
 

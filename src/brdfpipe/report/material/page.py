@@ -37,9 +37,9 @@ from brdfpipe.report.material.plan import choice_words, plan_section
 from brdfpipe.report.material.readings import readings_section
 from brdfpipe.report.material.reflection import lambert_gauss_section, reflection_section
 from brdfpipe.report.material.roughness import roughness_section
-from brdfpipe.report.rendering import material_name, own_stages, render
+from brdfpipe.report.rendering import as_json, material_name, own_stages, render
 from brdfpipe.report.rig import section as rig_section
-from brdfpipe.report.viewer import as_json, viewer_data
+from brdfpipe.report.viewer import viewer_data
 
 
 def material_page(
