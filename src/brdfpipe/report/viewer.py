@@ -43,6 +43,9 @@ _COARSE = (2, 3, 4)
 """Every second incidence, third distance and fourth azimuth has the ratios between wavelengths, which vary slowly."""
 
 _WAVELENGTHS = np.arange(400.0, 701.0, 50.0)
+_LEAST = 1e-9
+"""Least value that is kept, of the largest."""
+
 _DEFAULT_SLOPE, _SMALLEST_SLOPE = 0.1, 1e-4
 _LEVELS = 65535
 _PROBES = 256
@@ -58,6 +61,8 @@ class Sampled:
     peak: Array
     """(incidence,) angle of the lobe's direction from the normal of its side [degree]"""
     slope: float
+    floor: float | None
+    """Decimal logarithm of the least value that is kept [sr-1], in place of all below it; None where none is."""
 
     @property
     def full_turn(self) -> bool:
@@ -72,7 +77,11 @@ def sample(bsdf: xr.Dataset, plane: Plane, *, through: bool = False) -> Sampled:
     peak = np.minimum(peak, 89.0)
     polar, turn = _nodes(peak, slope, full_turn=not representation(bsdf).isotropic)
     values = bsdf_sections.value(bsdf, plane, INCIDENCES[:, None, None], 180 - polar if through else polar, turn)
-    return Sampled(np.log10(np.where(values > 0, values, np.nan)), peak, slope)
+    # Between light and none a logarithm cannot be interpolated: the least value stands for less, far below what any figure shows.
+    least = _LEAST * float(np.nanmax(values, initial=0.0))
+    below = values < least
+    logs = np.log10(np.where(below | ~(values > 0), np.where(np.isfinite(values) & (least > 0), least, np.nan), values))
+    return Sampled(logs, peak, slope, math.log10(least) if least > 0 and below.any() else None)
 
 
 def _nodes(peak: Array, slope: float, *, full_turn: bool) -> tuple[Array, Array]:
@@ -227,6 +236,7 @@ def _set(name: str, bsdf: xr.Dataset, plane_index: int, plane: Plane, through: b
         "side": "transmitted" if through else "reflected",
         "plane": plane_index,
         "slope": sampled.slope,
+        "floor": sampled.floor,
         "shape": list(sampled.logs.shape),
         "peak": sampled.peak.round(4).tolist(),
         "specular": [float(f"{share:.4g}") for share in (straight if through else mirrored)],
@@ -255,6 +265,8 @@ def _spectral(bsdf: xr.Dataset, plane: Plane, sampled: Sampled, through: bool) -
     at_reference = 10 ** sampled.logs[::i, ::p, ::d]
     with np.errstate(divide="ignore", invalid="ignore"):
         logs = np.log10(values / at_reference[..., None])
+    if sampled.floor is not None:
+        logs[at_reference <= 1.0001 * 10**sampled.floor] = 0.0  # the least value, not that of the BSDF
     logs = np.clip(np.where(np.isfinite(logs), logs, 0.0), -6, 6)
     low, high = float(logs.min()), float(logs.max())
     return {

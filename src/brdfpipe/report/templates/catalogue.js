@@ -157,7 +157,7 @@
     plot = new uPlot({
       width: holder.clientWidth || 600, height: Math.min(460, Math.max(300, 0.75 * holder.clientWidth)),
       scales: { x: { time: false }, y: { distr: 3, range: () => [10 ** base, 10 ** Math.max(top, base + 1)] } },
-      axes: [{ stroke, grid, label: "degree from the mirror direction", labelSize: 20 }, { stroke, grid, size: 66, label: "BRDF, sr⁻¹", labelSize: 18 }],
+      axes: [{ stroke, grid, label: "degree from the mirror direction", labelSize: 20 }, { stroke, grid, size: 66, label: "BRDF, sr⁻¹", labelSize: 18, values: (_, ticks) => ticks.map((v) => (v === null ? "" : v < 1e-3 || v >= 1e5 ? v.toExponential(0).replace("-", "\u2212") : String(+v.toPrecision(1)))) }],
       series: [{ label: "angle", value: (_, v) => (v == null ? "–" : `${v}°`) }, ...compared.map((entry, k) => ({ label: entry.name, stroke: css(strokes[k][0]), dash: strokes[k][1], width: 2, spanGaps: false, value: (_, v) => (v == null ? "–" : v.toPrecision(3)) }))],
     }, [offsets, ...curves], holder);
   };

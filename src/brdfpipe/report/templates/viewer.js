@@ -92,7 +92,14 @@
     return logAt(shown[state.show], x, y);
   };
   const main = () => shown[state.show === "ratio" ? names[0] : state.show];
-  const text = (v) => (Number.isFinite(v) ? Number((10 ** v).toPrecision(3)).toString().replace("-", "−") : "no light");
+  const raised = (power) => `10${[...String(power)].map((c) => (c === "-" ? "⁻" : "⁰¹²³⁴⁵⁶⁷⁸⁹"[c])).join("")}`;
+  const plain = (v) => {
+    const power = floor(Math.log10(v) + 1e-9), factor = Number((v / 10 ** power).toPrecision(3));
+    return power >= -3 && power < 5 ? String(Number(v.toPrecision(3))) : `${factor === 1 ? "" : `${factor}·`}${raised(power)}`;
+  };
+  const isBelow = (v) => state.show !== "ratio" && main().s.floor !== null && v < main().s.floor + 0.02; // sampled as the least value that is kept
+  const text = (v) => (!Number.isFinite(v) ? "no light" : isBelow(v) ? `less than ${plain(10 ** main().s.floor)}` : plain(10 ** v));
+  const through = () => state.side === "transmitted";
   const unit = () => (state.show === "ratio" ? "" : " sr⁻¹");
   const quantity = () => (state.side === "reflected" ? "BRDF" : "BTDF");
   // --- controls
@@ -160,8 +167,10 @@
     pen.save();
     pen.beginPath(); pen.rect(cx - r, cy - r, 2 * r, 2 * r); pen.clip();
     const px = (x) => cx + (x - centre) * scale, py = (y) => cy - y * scale;
+    pen.strokeStyle = css("--ref");
+    pen.beginPath(); pen.arc(px(0), cy, scale, 0, 2 * PI); pen.stroke();
     pen.strokeStyle = "rgba(255,255,255,.6)";
-    for (const angle of [30, 60, 90]) { pen.beginPath(); pen.arc(px(0), cy, scale * sin(angle * rad), 0, 2 * PI); pen.stroke(); }
+    for (const angle of [30, 60]) { pen.beginPath(); pen.arc(px(0), cy, scale * sin(angle * rad), 0, 2 * PI); pen.stroke(); }
     // The source: an arrow to drag; the lobe's direction: a ring.
     const sx = px(-sin(state.incidence * rad));
     for (const [colour, width] of [["#000", 5], ["#fff", 2.2]]) {
@@ -192,28 +201,28 @@
   const colours = ["--c0", "--c2"];
   let polarBox = null;
   const drawPolar = () => {
-    const { pen, w, h } = canvas("polar"), r = min(w / 2 - 26, h - 44), cx = w / 2, cy = h - 22;
-    polarBox = { cx, cy, r };
+    const { pen, w, h } = canvas("polar"), r = min(w / 2 - 26, h - 64), cx = w / 2, up = through() ? -1 : 1, cy = through() ? 26 : h - 22;
+    polarBox = { cx, cy, r, up };
     pen.strokeStyle = css("--grid"); pen.fillStyle = css("--ink2"); pen.textAlign = "center";
-    for (let k = 1; k <= 4; k++) { pen.beginPath(); pen.arc(cx, cy, (r * k) / 4, PI, 2 * PI); pen.stroke(); }
-    for (let a = -90; a <= 90; a += 30) { pen.beginPath(); pen.moveTo(cx, cy); pen.lineTo(cx + r * sin(a * rad), cy - r * cos(a * rad)); pen.stroke(); pen.fillText(`${abs(a)}°`, cx + (r + 13) * sin(a * rad), cy - (r + 9) * cos(a * rad) + 3); }
+    for (let k = 1; k <= 4; k++) { pen.beginPath(); pen.arc(cx, cy, (r * k) / 4, through() ? 0 : PI, through() ? PI : 2 * PI); pen.stroke(); }
+    for (let a = -90; a <= 90; a += 30) { pen.beginPath(); pen.moveTo(cx, cy); pen.lineTo(cx + r * sin(a * rad), cy - up * r * cos(a * rad)); pen.stroke(); pen.fillText(`${abs(a)}°`, cx + (r + 13) * sin(a * rad), cy - up * (r + 9) * cos(a * rad) + 3); }
     const angles = cutAngles();
     curves().forEach(({ f }, k) => {
       pen.strokeStyle = css(colours[k]); pen.lineWidth = 2; pen.setLineDash(k ? [6, 4] : []); pen.beginPath();
       let down = false;
-      for (const a of angles) { const v = f(...onCut(a)); if (!Number.isFinite(v)) { down = false; continue; } const d = r * clamp(reach(v), 0, 1.05), x = cx + d * sin(a * rad), y = cy - d * cos(a * rad); down ? pen.lineTo(x, y) : pen.moveTo(x, y); down = true; }
+      for (const a of angles) { const v = f(...onCut(a)); if (!Number.isFinite(v)) { down = false; continue; } const d = r * clamp(reach(v), 0, 1.05), x = cx + d * sin(a * rad), y = cy - up * d * cos(a * rad); down ? pen.lineTo(x, y) : pen.moveTo(x, y); down = true; }
       pen.stroke();
     });
     pen.setLineDash([]);
-    if (state.cut === 0) { // the source: a triangle to drag
+    if (state.cut === 0 && !through()) { // the source: a triangle to drag
       pen.save(); pen.translate(cx - r * sin(state.incidence * rad), cy - r * cos(state.incidence * rad)); pen.rotate(-state.incidence * rad);
       pen.fillStyle = css("--c3"); pen.beginPath(); pen.moveTo(0, 16); pen.lineTo(-7, -4); pen.lineTo(7, -4); pen.fill(); pen.restore();
     }
-    pen.fillStyle = css("--ink2"); pen.fillText(`${state.linear ? "linear" : "logarithmic"} radius; rim ${text(range[1])}${unit()}`, cx, h - 4);
+    pen.fillStyle = css("--ink2"); pen.fillText(`${state.linear ? "linear" : "logarithmic"} radius; rim ${text(range[1])}${unit()}${through() ? "; angles from the lower normal" : ""}`, cx, h - 4);
     pen.textAlign = "start";
   };
   const drawLobe = () => {
-    const { pen, w, h } = canvas("solid"), r = min(w / 2.2, h * 0.62), cx = w / 2, cy = h * 0.72, q = main();
+    const { pen, w, h } = canvas("solid"), r = min(w / 2.2, h * (through() ? 0.5 : 0.62)), cx = w / 2, cy = h * (through() ? 0.56 : 0.72), side = through() ? -1 : 1, q = main();
     const a = state.spin * rad, b = state.tilt * rad;
     const project = (x, y, z) => { const u = x * cos(a) - y * sin(a), v = x * sin(a) + y * cos(a); return [cx + r * u, cy - r * (z * cos(b) + v * sin(b)), v * cos(b) - z * sin(b)]; };
     pen.strokeStyle = css("--grid"); pen.lineWidth = 1;
@@ -222,7 +231,7 @@
     for (let i = 0; i <= rows; i++) for (let j = 0; j < columns; j++) {
       const psi = (j / columns) * 2 * PI, [R, s] = rimAndStretch(q.c, psi, q.slope), t = sinh((s * i) / rows) / sinh(s), d = min(R * (1 - (1 - t) ** 2), R * (1 - 1e-4));
       const x = q.c + d * cos(psi), y = d * sin(psi), v = value(x, y), k = Number.isFinite(v) ? reach(v) : 0;
-      points.push([...project(k * x, k * y, k * sqrt(max(1 - x * x - y * y, 0))), v]);
+      points.push([...project(k * x, k * y, side * k * sqrt(max(1 - x * x - y * y, 0))), v]);
     }
     const faces = [];
     for (let i = 0; i < rows; i++) for (let j = 0; j < columns; j++) {
@@ -243,7 +252,7 @@
   let plot = null, plotKey = "";
   const drawCartesian = () => {
     const holder = $("cartesian"), angles = cutAngles(), lines = curves();
-    const series = [angles, ...lines.map(({ f }) => angles.map((a) => { const v = f(...onCut(a)); return Number.isFinite(v) ? 10 ** v : null; }))];
+    const series = [angles, ...lines.map(({ f }) => angles.map((a) => { const v = f(...onCut(a)); return Number.isFinite(v) && !isBelow(v) ? 10 ** v : null; }))];
     const key = [state.show, state.side, holder.clientWidth, state.linear, state.cut, css("--ink")].join();
     if (plot && plotKey === key) { plot.setData(series); return; }
     if (plot) plot.destroy();
@@ -251,8 +260,8 @@
     const stroke = css("--ink2"), grid = { stroke: css("--grid") };
     plot = new uPlot({
       width: holder.clientWidth || 360, height: 290, scales: { x: { time: false }, y: state.linear || state.show === "ratio" ? {} : { distr: 3, range: () => [10 ** floor(range[0]), 10 ** Math.ceil(range[1])] } },
-      axes: [{ stroke, grid, label: state.cut === 0 ? "angle of view, degree" : "angle from the lobe, degree", labelSize: 20 }, { stroke, grid, size: 64, label: state.show === "ratio" ? "ratio" : `${quantity()}, sr⁻¹`, labelSize: 18 }],
-      series: [{ label: "angle", value: (_, v) => (v == null ? "–" : `${v.toFixed(2)}°`) }, ...lines.map(({ name }, k) => ({ label: name, stroke: css(colours[k]), width: 2, dash: k ? [6, 4] : undefined, value: (_, v) => (v == null ? "–" : v.toPrecision(3)) }))],
+      axes: [{ stroke, grid, label: state.cut === 0 ? "angle of view, degree" : "angle from the lobe, degree", labelSize: 20 }, { stroke, grid, size: 64, label: state.show === "ratio" ? "ratio" : `${quantity()}, sr⁻¹`, labelSize: 18, ...(state.linear || state.show === "ratio" ? {} : { values: (_, ticks) => ticks.map((v) => (v === null ? "" : plain(v))) }) }],
+      series: [{ label: "angle", value: (_, v) => (v == null ? "–" : `${v.toFixed(2)}°`) }, ...lines.map(({ name }, k) => ({ label: name, stroke: css(colours[k]), width: 2, dash: k ? [6, 4] : undefined, value: (_, v) => (v == null ? "–" : plain(v)) }))],
     }, series, holder);
   };
   const say = (x, y) => {
@@ -304,8 +313,8 @@
     if (held && grabbed && hypot(x, y) < 1) { state.incidence = Math.asin(clamp(-x, 0, 0.999)) / rad; update(); } else say(x, y);
   });
   drag("polar", (px, py, held, event) => {
-    const angle = atan2(px - polarBox.cx, polarBox.cy - py) / rad;
-    if (event.type === "pointerdown") grabbed = state.cut === 0 && angle < 5;
+    const angle = atan2(px - polarBox.cx, polarBox.up * (polarBox.cy - py)) / rad;
+    if (event.type === "pointerdown") grabbed = state.cut === 0 && !through() && angle < 5;
     if (held && grabbed) { state.incidence = clamp(-angle, 0, 85); update(); } else if (abs(angle) < 90) say(...onCut(angle));
   });
   let last = null;
@@ -333,7 +342,7 @@
   });
   $("save").addEventListener("click", () => {
     const lines = [`# ${document.title}; incidence ${state.incidence} degree; ${state.wavelength ?? "all"} nm; ${state.side}`, `angle_degree,${curves().map((c) => (c.name === "ratio" ? "ratio" : `${c.name}_sr-1`)).join(",")}`];
-    for (const a of cutAngles()) lines.push([a.toFixed(4), ...curves().map(({ f }) => { const v = f(...onCut(a)); return Number.isFinite(v) ? (10 ** v).toPrecision(5) : ""; })].join(","));
+    for (const a of cutAngles()) lines.push([a.toFixed(4), ...curves().map(({ f }) => { const v = f(...onCut(a)); return Number.isFinite(v) && !isBelow(v) ? (10 ** v).toPrecision(5) : ""; })].join(","));
     const link = Object.assign(document.createElement("a"), { href: `data:text/csv;charset=utf-8,${encodeURIComponent(lines.join("\n"))}`, download: "cut.csv" });
     link.click();
   });
