@@ -17,6 +17,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import mpmath as mp
 import numpy as np
@@ -31,6 +32,7 @@ from brdfpipe.bsdf.measured import smoothing
 from brdfpipe.bsdf.microfacet.builder import build as build_facets
 from brdfpipe.bsdf.registry import representation
 from brdfpipe.bsdf.slab.builder import build as build_slab
+from brdfpipe.bsdf.slab.coated import build as build_coated
 from brdfpipe.bsdf.wave.builder import build as build_wave
 from brdfpipe.errors import BrdfpipeError
 from brdfpipe.facets.analytic_distributions import analytic, flat
@@ -430,6 +432,73 @@ def _sheets() -> Iterator[Case]:
     )
 
 
+COAT_REACH = 2e-3
+"""Share of the light that the directions of a coat's light may lose or gain in total."""
+
+
+def closed(bsdf: xr.Dataset) -> Outcome:
+    """As :func:`everywhere`, and the reflectance integrated over the hemisphere, with the mirrored light, against the albedo."""
+    found = everywhere(bsdf)
+    if found.kind == "wrong":
+        return found
+    of = representation(bsdf)
+    theta, theta_u = np.polynomial.legendre.leggauss(400)
+    theta, weight = 45 * (theta + 1), np.radians(45 * theta_u)
+    phi = np.arange(0.0, 360.0, 2.0)
+    angles = [a.ravel() for a in np.meshgrid([5.0, 45.0, 75.0], theta, phi, indexing="ij")]
+    values = of.evaluate(angles[0], 0 * angles[0], angles[1], angles[2], None).mean(axis=-1).reshape(3, theta.size, -1)
+    radians = np.radians(theta)
+    scattered = 2 * np.pi * (values.mean(axis=2) * np.cos(radians) * np.sin(radians) * weight).sum(axis=1)
+    incidence = np.array([5.0, 45.0, 75.0])
+    mirrored, _ = of.specular(incidence, 0 * incidence, None)
+    albedo = of.albedo(incidence, 0 * incidence, None).mean(axis=-1)
+    off = float(np.abs(scattered + mirrored.mean(axis=-1) - albedo).max())
+    right = off <= COAT_REACH
+    return Outcome(
+        "range" if right else "wrong", f"{found.text}, light closed to {off:.0e}", f"{found.limit}; {COAT_REACH:g}"
+    )
+
+
+def _coats() -> Iterator[Case]:
+    grey = recover([40.0, 0.0, 0.0], illuminant="D65", observer=10)
+    smooth, rough = flat(), analytic("beckmann", 0.2)
+    waves = np.random.default_rng(1).normal(size=4096)
+    line = estimate(samples.surface(np.convolve(waves, np.hanning(21), mode="same")), isotropic=True)
+    bodies: dict[str, dict[str, Any]] = {
+        "smooth coat without absorption": {"coat": smooth},
+        "smooth coat on a rough body": {"coat": smooth, "surface": rough},
+        "rough coat on a rough body": {"coat": rough, "surface": rough},
+        "very smooth facets, slope 1e-6": {"coat": analytic("beckmann", 1e-6)},
+        "very rough coat, slope 1": {"coat": analytic("beckmann", 1.0)},
+        "coat that absorbs nearly everything, transmittance 1e-12": {"internal_transmittance": 1e-12, "spectrum": None},
+        "coat that absorbs everything, transmittance 0": {"internal_transmittance": 0.0, "spectrum": None},
+        "coat 1 m thick, 1e6 / mm": {"absorption": 1e6, "thickness": 1000.0, "spectrum": None},
+        "coat 1 nm thick": {"absorption": 1.0, "thickness": 1e-6},
+        "coat of the index of air, n = 1": {"coat_index": 1.0},
+        "coat and body of the same index": {"index": 1.5},
+        "coat of index 4": {"coat_index": 4.0, "spectrum": None},
+        "metal below a smooth coat": {"coat": smooth, "index": _metal(), "spectrum": None},
+        "metal below a rough coat": {"index": _metal(), "spectrum": None},
+        "slopes of a line scan": {"coat": line},
+    }
+    quick = ("smooth coat without absorption",)
+    for name, changes in bodies.items():
+        options = {"coat": rough, "coat_index": 1.5, "index": 1.55, "spectrum": grey} | changes
+        # The lobe of the smoothest facets is narrower than the steps of the integral.
+        judge = everywhere if "1e-6" in name else closed
+        yield Case(
+            "coated bodies",
+            name,
+            lambda options=options, judge=judge: judge(build_coated(**options)),
+            slow=name not in quick,
+        )
+    yield Case(
+        "coated bodies",
+        "internal transmittance 1.1",
+        lambda: refused(lambda: build_coated(smooth, coat_index=1.5, index=1.5, internal_transmittance=1.1)),
+    )
+
+
 def _colours() -> Iterator[Case]:
     def of(*lab: float) -> xr.Dataset:
         return recover(lab, illuminant="D65", observer=10)
@@ -552,7 +621,7 @@ def _appearance() -> Iterator[Case]:
 
 def cases() -> list[Case]:
     """All cases, in the order of the page."""
-    groups = (_optics, _geometry, _masking, _facets, _heights, _waves, _sheets, _colours, _rig, _appearance)
+    groups = (_optics, _geometry, _masking, _facets, _heights, _waves, _sheets, _coats, _colours, _rig, _appearance)
     return [case for group in groups for case in group()]
 
 

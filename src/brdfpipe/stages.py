@@ -325,10 +325,10 @@ def _spectrum(subject: Subject, wildcards: Wildcards) -> dict[str, Any]:
     def with_fallbacks(block: Mapping[str, Any], place: str) -> dict[str, Any]:
         names = [
             name
-            for name in ("geometry", "incidence", "specular_trap")
+            for name in ("geometry", "incidence", "specular_trap", "reflectance_uncertainty")
             if f"{place}.{name}" in subject.owner.inherited  # type: ignore[union-attr]
         ]
-        return {**block, "fallbacks": names} if names and "file" in block else dict(block)
+        return {**block, "fallbacks": names} if names and ("file" in block or "sci" in block) else dict(block)
 
     spectrum = with_fallbacks(subject.section("spectrum"), "spectrum")
     return spectrum | {

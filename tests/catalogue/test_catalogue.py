@@ -977,3 +977,42 @@ def test_the_former_key_of_symmetry_is_refused_with_what_to_write_instead(
     folder = write(tmp_path, "m", f"rig: {{run: run, calibration: bench, {smoothing}}}\n")
     with pytest.raises(InputError, match=rf"rig\.smoothing\.symmetric: `symmetric` was split.*{instead}"):
         catalogue.load_material(folder, catalogue.load_config())
+
+
+RECOVERED = "spectrum: {{lab: {lab}, illuminant: D65, observer: 10, geometry: {geometry}{more}}}\n"
+FLAKES = "multiangle: {{colours: [{colours}], illuminant: D65, observer: 10, form: {form}}}\n"
+
+
+def flakes_of(form: str = "exponential", **lightness: float) -> str:
+    colours = ", ".join(f"{{geometry: {name}, lab: [{value}, 0, 0]}}" for name, value in lightness.items())
+    return FLAKES.format(colours=colours, form=form)
+
+
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [
+        (RECOVERED.format(lab=[90, 100, 100], geometry="sce", more=""), "impossible colour: no reflectance has it"),
+        (
+            "surface: {distribution: flat}\nindex: 1.5\n" + RECOVERED.format(lab=[3, 0, 0], geometry="sci", more=""),
+            r"every spectrum of this colour falls below 0\.0400",
+        ),
+        (RECOVERED.format(lab=[60, 80, 60], geometry="sce", more=", method: random4"), "no mixture of the four"),
+        (RECOVERED.format(lab=[60, 0, 0], geometry="sci", more=", specular_trap: 5"), "a gloss trap needs"),
+        (flakes_of(as15=30, as45=20, as110=5, form="double-exponential"), "too few different flake angles"),
+        (flakes_of(as15=5, as45=20, as110=30), "A of the fit is out of range"),
+    ],
+)
+def test_check_refuses_what_the_build_refuses_for_its_description(tmp_path: Path, text: str, problem: str) -> None:
+    (tmp_path / "m").mkdir()
+    (tmp_path / "m" / "material.yaml").write_text(text)
+    with pytest.raises(InputError, match=problem):
+        catalogue.check_formats(catalogue.load(tmp_path)["m"])
+
+
+@pytest.mark.parametrize("method", ["lhtss", "basis4", "random4"])
+def test_check_accepts_a_colour_that_the_build_accepts(tmp_path: Path, method: str) -> None:
+    (tmp_path / "m").mkdir()
+    more = f", method: {method}, reflectance_uncertainty: 0.01, incidence: 8"
+    more += ", seed: 3, threshold: 2" if method == "random4" else ""
+    (tmp_path / "m" / "material.yaml").write_text(RECOVERED.format(lab=[50, 5, 5], geometry="sci", more=more))
+    catalogue.check_formats(catalogue.load(tmp_path)["m"])

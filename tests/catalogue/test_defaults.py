@@ -122,6 +122,23 @@ def test_a_pair_of_spectra_with_a_column_of_uncertainties_inherits_no_uncertaint
     assert loaded["n"].content["spectrum"]["reflectance_uncertainty"] == 0.005
 
 
+@pytest.mark.parametrize("pair", [False, True])
+def test_uncertainties_in_a_file_replace_the_inherited_one(tmp_path: Path, pair: bool) -> None:
+    titled = "wavelength [nm],R,u_R\n" + "".join(f"{nm},0.4,{0.001 + 1e-6 * nm}\n" for nm in range(400, 701, 10))
+    block = "{sci: {file: a.txt, scale: fraction}, sce: {file: b.txt}}" if pair else "{file: a.txt, geometry: sci}"
+    folder = write(tmp_path, "spectrum: {reflectance_uncertainty: 0.02, scale: fraction}\n", m=f"spectrum: {block}\n")
+    (folder / "m" / "a.txt").write_text(titled)
+    (folder / "m" / "b.txt").write_text(titled.replace("0.4,", "0.36,"))
+    loaded = catalogue.load(folder)
+    beside = folder / "m" / "b.txt" if pair else None
+    spectrum = ingest(loaded.spec("m", "spectrum"), folder / "m" / "a.txt", excluded=beside)
+    assert spectrum["total_reflectance_u"].values[0] == pytest.approx(0.0014)
+    assert "`reflectance_uncertainty` 0.02 of the catalogue was left out" in spectrum.attrs["history"]
+    (folder / "m" / "a.txt").write_text("\n".join(line.rpartition(",")[0] for line in titled.splitlines()))
+    spectrum = ingest(loaded.spec("m", "spectrum"), folder / "m" / "a.txt", excluded=beside)
+    assert (spectrum["total_reflectance_u"] == 0.02).all()
+
+
 def test_the_scene_of_a_catalogue_lies_in_it(tmp_path: Path) -> None:
     (tmp_path / "out.yaml").write_text("name: x\n")
     folder = write(tmp_path / "c", "exports: []\nscene: ../out.yaml\n", m=SCAN + "index: 1.5\n")
@@ -203,6 +220,19 @@ def test_the_page_says_where_each_value_came_from(tmp_path: Path) -> None:
     page = material_page({}, origins=rows)
     assert "Keys of the material" in page
     assert "catalogue.yaml" in page
+
+
+def test_the_page_names_the_file_where_it_overruled_an_inherited_value(tmp_path: Path) -> None:
+    defaults = "spectrum: {geometry: sci, incidence: 10, scale: fraction}\n"
+    loaded = catalogue.load(write(tmp_path, defaults, m="spectrum: {file: a.txt}\n"))
+    path = tmp_path / "m" / "a.txt"
+    path.write_text("# SCE\n" + "".join(f"{nm} 0.4\n" for nm in range(400, 701, 10)))
+    spectrum = ingest(loaded.spec("m", "spectrum"), path).assign_attrs(stage="spectrum", material="m")
+    rows = STAGES["report"].parameters(Subject(loaded["m"], loaded.config))["origins"]
+    page = material_page({"spectrum": spectrum}, origins=rows)
+    assert "the file, not catalogue.yaml (sci)" in page
+    assert "the file, not catalogue.yaml (10)" not in page
+    assert "the file, not" not in material_page({"spectrum": spectrum.assign_attrs(geometry="sci")}, origins=rows)
 
 
 def test_check_names_defaults_that_no_material_inherits(tmp_path: Path) -> None:

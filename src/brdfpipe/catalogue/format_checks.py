@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from brdfpipe.catalogue.configuration import check_illuminant
 from brdfpipe.catalogue.material import BASE_INDEX, Material, at_key, raw_files
@@ -12,13 +12,17 @@ from brdfpipe.catalogue.names import DESCRIPTION
 from brdfpipe.errors import BrdfpipeError, InputError, naming_key
 from brdfpipe.file_formats import extensions
 
+if TYPE_CHECKING:
+    import xarray as xr
+
 
 def check_formats(material: Material) -> None:
     """Check the raw files without reading them, and the names of the plastic and the illuminant.
 
     Raises
     ------
-    InputError : an empty file, an extension without a reader, an unknown plastic, illuminant or geometry of a reading.
+    InputError : an empty file, an extension without a reader, an unknown plastic, illuminant or geometry of a reading, a colour that no
+        spectrum has.
     """
     from brdfpipe.columns import TEXT_SUFFIXES
     from brdfpipe.exchange.reading import format_of
@@ -72,13 +76,36 @@ def check_formats(material: Material) -> None:
             refractive_index(at_key(content, BASE_INDEX))
     if "illuminant" in content.get("spectrum", {}):
         check_illuminant(material.folder / DESCRIPTION, content["spectrum"]["illuminant"], "spectrum.illuminant")
+    if "lab" in content.get("spectrum", {}):
+        _check_colour(material)
     for number, colour in enumerate(content.get("measured", {}).get("lab", [])):
         _check_reading(material, number, colour)
     if "colours" in content.get("multiangle", {}):
-        from brdfpipe.flakes.reading import check_colours
+        from brdfpipe.flakes.reading import ingest
 
-        measured = MultiangleColours.read_by("multiangle")
-        check_colours({key: value for key, value in content["multiangle"].items() if key in measured})
+        check_flakes(ingest(_read_by_stage(material, "multiangle")), material)
+
+
+def check_flakes(colours: xr.Dataset, material: Material) -> None:
+    """Refuse multi-angle colours, kind ``multiangle``, to which the declared form along the flake angle does not fit, as the build will."""
+    from brdfpipe.bsdf import flake
+
+    flake.build(colours, **_read_by_stage(material, "flake"))
+
+
+def _read_by_stage(material: Material, stage: str) -> dict[str, Any]:
+    """The keys of ``multiangle`` that a stage reads."""
+    read = MultiangleColours.read_by(stage)
+    return {key: value for key, value in material.content["multiangle"].items() if key in read}
+
+
+def _check_colour(material: Material) -> None:
+    """Refuse a colour that no spectrum has, as the build will. The index of a file is not read, and sets no least reflectance here."""
+    from brdfpipe.optics.index import refractive_index
+    from brdfpipe.spectra.ingestion import check_colour
+
+    has_index = material.has("index") and "index" not in material.files
+    check_colour(material.content["spectrum"], refractive_index(material.content["index"]) if has_index else None)
 
 
 def _check_reading(material: Material, number: int, colour: Mapping[str, Any]) -> None:

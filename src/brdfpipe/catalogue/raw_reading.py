@@ -11,6 +11,7 @@ import xarray as xr
 
 from brdfpipe import vocabulary
 from brdfpipe.catalogue.catalogue import Catalogue
+from brdfpipe.catalogue.format_checks import check_flakes
 from brdfpipe.catalogue.material import BASE_INDEX, OTHER_FACES, Material
 from brdfpipe.errors import BrdfpipeError, InputError, abbreviated, naming_key, shortened
 from brdfpipe.stages import STAGES, Subject
@@ -44,6 +45,8 @@ def describe_files(catalogue: Catalogue, material: Material) -> list[str]:
         lines += _words(path, name, dataset)
         if name == "surface":
             scans.append(dataset)
+        if name == "multiangle":
+            check_flakes(dataset, material)
     if scans:
         _check_scans(catalogue, material, scans)
     return lines

@@ -135,7 +135,8 @@ def check(catalogue: Path, config: Path | None, scene: str | None, reads: bool, 
     """Check descriptions, keys, scenes, files and formats of CATALOGUE; raw files are read with --read alone.
 
     Lists every mistake of a description. What only the content of a raw file shows, such as a text file whose unit or pitch must be a
-    key, --read refuses in the words of the build. It computes nothing.
+    key, --read refuses in the words of the build. Colours are checked too: one that no spectrum has, and colours of an effect paint that its
+    form does not fit. No dataset is computed.
 
     Exit code: 1 if a material is wrong or needs a reader that is not installed.
     """

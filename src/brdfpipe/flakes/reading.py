@@ -93,22 +93,6 @@ def ingest(spec: Mapping[str, Any], path: str | PathLike[str] | None = None) -> 
     )
 
 
-def check_colours(spec: Mapping[str, Any]) -> None:
-    """Check colours without the tables of the illuminants, which take seconds to load.
-
-    Raises InputError: as :func:`ingest`, unless the error depends on the white point (tristimulus values that are too large).
-    """
-    rows = _checked_rows(spec, None)
-    if rows.kind == "reflectance":
-        _spectral(rows, spec)
-        return
-    _illuminant(rows, spec)
-    if rows.kind == "lab":
-        _check_lab(rows)
-    else:
-        _check_xyz(rows, rows.values)
-
-
 def _checked_rows(spec: Mapping[str, Any], path: str | PathLike[str] | None) -> _Rows:
     if not isinstance(spec, Mapping) or ("file" in spec) == ("colours" in spec):
         accepted = "file: … or colours: […]"

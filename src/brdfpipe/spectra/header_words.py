@@ -46,6 +46,7 @@ _EXCLUDED = re.compile(
 _ABOUT_SPECULAR = re.compile(
     r"\b(?:sc[ie]|sp(?:in|ex)|specular|spec|glanz|mode|modus|geometr(?:y|ie))\b", re.IGNORECASE
 )
+_BARE_SPECULAR = re.compile(r"spec(?:ular)?(?: (?:component|reflection))?|glanz(?:anteil)?", re.IGNORECASE)
 _WITH = re.compile(r"i|in|incl?\.?|included|inclusive|inkl\.?|mit|with", re.IGNORECASE)
 _WITHOUT = re.compile(r"e|ex|excl?\.?|excluded|exclusive|exkl\.?|ohne|without", re.IGNORECASE)
 _YES, _NO = re.compile(r"yes|y|ja|true|1|x|on", re.IGNORECASE), re.compile(r"no|n|nein|false|0|off", re.IGNORECASE)
@@ -123,13 +124,14 @@ def geometry(words: str) -> str | None:
 
 
 def geometry_of_cell(title: str, cell: str) -> str | None:
-    """``sci`` or ``sce`` as a cell of a table says, such as ``SCE``, or ``E`` below the title ``SCI/SCE``; None if it does not."""
+    """``sci`` or ``sce`` as a cell of a table says, such as ``SCE``, ``E`` below the title ``SCI/SCE`` or ``no`` below ``Specular``; None if it does not."""
     cell = cell.strip()
     if not _ABOUT_SPECULAR.search(title):
         return geometry(cell)
     if _WITH.fullmatch(cell) or _WITHOUT.fullmatch(cell):
         return "sci" if _WITH.fullmatch(cell) else "sce"
-    of_title = geometry(title)
+    # A bare title, as `Specular: yes`, asks whether the component is included.
+    of_title = "sci" if _BARE_SPECULAR.fullmatch(title.strip()) else geometry(title)
     if of_title and _YES.fullmatch(cell):
         return of_title
     if of_title and _NO.fullmatch(cell):

@@ -13,7 +13,7 @@ import xarray as xr
 from brdfpipe import vocabulary
 from brdfpipe.errors import InputError, naming_key
 from brdfpipe.spectra.readers import check_geometry, check_incidence, read_spectrum
-from brdfpipe.spectra.recovery import index_words, recover, specular_reflectance
+from brdfpipe.spectra.recovery import check_recoverable, index_words, recover, specular_reflectance
 
 _MOST_EXCESS = 0.005
 """Share of the light that SCE may exceed SCI by: the repeatability of two measurements of a matt sample."""
@@ -35,7 +35,8 @@ def ingest(
     spec : ``file`` and the keywords of :func:`read_spectrum`; or ``lab``, ``geometry``, ``incidence`` and the keywords ``illuminant``,
         ``observer``, ``method``, ``threshold``, ``seed`` of :func:`recover`. With the specular excluded, ``specular_trap`` is the half
         angle of the instrument's gloss trap [degree]; ``reflectance_uncertainty`` is a standard uncertainty common to all wavelengths [1];
-        ``fallbacks`` are the keys of a file, with ``specular_trap``, that count only where the file does not contradict them.
+        ``fallbacks`` are the keys of a file, with ``specular_trap`` and ``reflectance_uncertainty``, that count only where the file does
+        not state them.
         Or ``sci`` and ``sce``, each with ``file`` and keywords: the sample with the specular component included and excluded
     path : path of the file, if it differs from the name in ``spec``
     index : refractive index, if known: a number or a dataset of kind ``index``. A colour with the specular included then gives a
@@ -62,6 +63,9 @@ def ingest(
     if u is None:
         return dataset
     if "total_reflectance_u" in dataset:
+        if "reflectance_uncertainty" in options.get("fallbacks", ()):
+            note = f"the file states uncertainties: `reflectance_uncertainty` {u:g} of the catalogue was left out"
+            return vocabulary.add_history(dataset, note)
         problem, accepted = (
             "the file states an uncertainty",
             "no `reflectance_uncertainty` with a column of uncertainties",
@@ -83,7 +87,10 @@ def _pair(
     parts = {}
     for geometry, file in (("sci", path), ("sce", excluded)):
         with naming_key(f"spectrum.{geometry}", "spectrum"):
-            parts[geometry] = ingest({**spec[geometry], **common, "geometry": geometry}, file, index)
+            half = {**spec[geometry], **common, "geometry": geometry}
+            if fallbacks := {*spec.get("fallbacks", ()), *half.get("fallbacks", ())} - {"geometry", "specular_trap"}:
+                half["fallbacks"] = sorted(fallbacks)
+            parts[geometry] = ingest(half, file, index)
     included, without = parts["sci"], parts["sce"]
     nm = included["wavelength"].values
     ends = {"left": np.nan, "right": np.nan}
@@ -125,14 +132,39 @@ def _ingested(
             trap = None
         trap_attribute = _trap_attribute(trap, dataset.attrs["geometry"])
         return _warn_if_excluded(dataset, source.name, index).assign_attrs(trap_attribute)
-    check_geometry("material.yaml", geometry)
-    check_incidence("material.yaml", options.get("incidence"))
-    trap_attribute = _trap_attribute(trap, str(geometry))
-    if "incidence" in options:
-        options["theta"] = options.pop("incidence")
+    options, trap_attribute = _of_colour(options, trap)
     specular_index = index if geometry == "sci" else None
     recovered = recover(specular_index=specular_index, checkpoint=checkpoint, progress=True, **options)
     return recovered.assign_attrs(trap_attribute)
+
+
+def check_colour(spec: Mapping[str, Any], index: float | xr.Dataset | None = None) -> None:
+    """Refuse a ``spectrum`` section with ``lab`` that :func:`ingest` will refuse; nothing is searched for.
+
+    Parameters
+    ----------
+    spec, index : as for :func:`ingest`
+
+    Raises
+    ------
+    InputError : naming the key of material.yaml.
+    """
+    options = dict(spec)
+    with naming_key("spectrum.lab", "lab"):
+        options, _ = _of_colour(options, options.pop("specular_trap", None))
+        for name in ("seed", "reflectance_uncertainty"):
+            options.pop(name, None)
+        specular_index = index if options.pop("geometry") == "sci" else None
+        check_recoverable(specular_index=specular_index, **options)
+
+
+def _of_colour(options: dict[str, Any], trap: float | None) -> tuple[dict[str, Any], dict[str, float]]:
+    """Keywords of the recovery of a colour, and the attribute of the gloss trap; a wrong geometry, incidence or trap is refused."""
+    check_geometry("material.yaml", options.get("geometry"))
+    check_incidence("material.yaml", options.get("incidence"))
+    trap_attribute = _trap_attribute(trap, str(options.get("geometry")))
+    theta = {"theta": options["incidence"]} if "incidence" in options else {}
+    return {key: value for key, value in options.items() if key != "incidence"} | theta, trap_attribute
 
 
 def _trap_attribute(trap: float | None, geometry: str) -> dict[str, float]:

@@ -84,9 +84,7 @@ def recover(
     if isinstance(seed, bool) or not isinstance(seed, int) or seed < 0:
         raise _refusal("invalid seed", found=repr(seed)[:40], accepted="a whole number >= 0", key="spectrum.seed")
     colour, table = _checked_lab(lab), _weights(illuminant, observer)
-    specular = np.zeros(table.wavelength.size)
-    if specular_index is not None:
-        specular = specular_reflectance(specular_index, theta, table.wavelength)
+    specular = _floor(specular_index, theta, table)
     sodium_index = (
         interpolate_index(specular_index, 589.3)[0] if isinstance(specular_index, xr.Dataset) else specular_index
     )
@@ -108,9 +106,7 @@ def recover(
     else:
         reflectance = _spectrum(colour, table, specular, method)
     if reflectance is None:
-        if method == "basis4":
-            _check_mixable(colour, table, specular, 0.0)
-        raise _unreachable(colour, table, specular, specular_index)
+        raise _refused(colour, table, specular, specular_index, method)
     lab_of_spectrum = colorimetry.xyz_to_lab(reflectance @ table.weights, table.white)
     attrs = {
         "geometry": geometry or "sci",
@@ -136,6 +132,32 @@ def recover(
         f"the search for a spectrum {why}, at ΔE {search.delta_e:.3g} from the colour (threshold {threshold:g}); remove "
         "spectrum.nc to continue the search, or set `spectrum.method: lhtss`, which is exact.",
     )
+
+
+def check_recoverable(
+    lab: ArrayLike,
+    *,
+    illuminant: str,
+    observer: int,
+    method: str = METHODS[0],
+    threshold: float = random_search.THRESHOLD,
+    specular_index: float | xr.Dataset | None = None,
+    theta: float = 8.0,
+) -> None:
+    """Refuse a colour that :func:`recover` will refuse, without its search; parameters and errors as there."""
+    colour, table = _checked_lab(lab), _weights(illuminant, observer)
+    specular = _floor(specular_index, theta, table)
+    if method in random_search.SEARCHES:
+        _check_mixable(colour, table, specular, threshold)
+    elif _spectrum(colour, table, specular, method) is None:
+        raise _refused(colour, table, specular, specular_index, method)
+
+
+def _floor(specular_index: float | xr.Dataset | None, theta: float, table: Weights) -> Array:
+    """Least reflectance of a spectrum at each wavelength: the specular reflection that the colour includes."""
+    if specular_index is None:
+        return np.zeros(table.wavelength.size)
+    return specular_reflectance(specular_index, theta, table.wavelength)
 
 
 def metamerism(
@@ -252,6 +274,13 @@ def _check_mixable(lab: Array, table: Weights, specular: Array, threshold: float
             accepted=f"lhtss; or a colour like the nearest one, {_distance_words(np.round(near, 2) + 0.0, lab)}",
             key="spectrum.method",
         )
+
+
+def _refused(lab: Array, table: Weights, specular: Array, index: float | xr.Dataset | None, method: str) -> InputError:
+    """Why an exact method does not reach a colour."""
+    if method == "basis4":
+        _check_mixable(lab, table, specular, 0.0)
+    return _unreachable(lab, table, specular, index)
 
 
 def _unreachable(lab: Array, table: Weights, specular: Array, index: float | xr.Dataset | None) -> InputError:

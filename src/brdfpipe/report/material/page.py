@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 from types import MappingProxyType
 
+import numpy as np
 import xarray as xr
 
 from brdfpipe.appearance.applicability import limits
@@ -91,7 +92,7 @@ def material_page(
         lambert_gauss_section(known),
         checks_section(known),
         Section("Files", tables=[exported] if exported else []),
-        _description_section(origins),
+        _description_section(origins, known.get("spectrum")),
     ]
     prediction = [spectrum_section(known), *inputs] if measured else []
     name = material_name(known)
@@ -131,11 +132,18 @@ def material_page(
     )
 
 
-def _description_section(origins: Sequence[Sequence[str]]) -> Section:
-    """What the description says, and where each value came from."""
+def _description_section(origins: Sequence[Sequence[str]], spectrum: xr.Dataset | None) -> Section:
+    """What the description says, and where each value came from; a value that the file of the spectrum overruled is that of the file."""
     section = Section("Description")
-    if origins:
-        section.tables.append(Table("Keys of the material", ("Key", "Value", "From"), [tuple(row) for row in origins]))
+    stated = {} if spectrum is None else _stated_by_file(spectrum)
+    rows = [
+        (key, stated[key], f"the file, not {origin} ({value})")
+        if key in stated and not _agrees(value, stated[key])
+        else (key, value, origin)
+        for key, value, origin in origins
+    ]
+    if rows:
+        section.tables.append(Table("Keys of the material", ("Key", "Value", "From"), rows))
     return section
 
 
@@ -171,3 +179,24 @@ def _no_conditions(datasets: Mapping[str, xr.Dataset]) -> str:
         "Nothing of the surface was measured: there is no statement on how far gloss, haze and the angular figures can be trusted. They are "
         "those of the assumed finish. Set `surface: file` in material.yaml to use a measurement."
     )
+
+
+def _stated_by_file(spectrum: xr.Dataset) -> dict[str, str]:
+    """Keys that the file of a spectrum may overrule where they are inherited, with the values that the spectrum has."""
+    incidence = f"{spectrum.attrs['theta_i']:g}"
+    stated = {"spectrum.incidence": incidence, "spectrum.sci.incidence": incidence}
+    if "specular_excluded_reflectance" not in spectrum:
+        stated["spectrum.geometry"] = str(spectrum.attrs["geometry"])
+        if stated["spectrum.geometry"] != "sce":
+            stated["spectrum.specular_trap"] = "none: the specular component is included"
+    u = spectrum["total_reflectance_u"].values if "total_reflectance_u" in spectrum else np.zeros(1)
+    if u.min() != u.max():
+        stated["spectrum.reflectance_uncertainty"] = f"{u.min():.2g} to {u.max():.2g}"
+    return stated
+
+
+def _agrees(value: str, stated: str) -> bool:
+    try:
+        return float(value) == float(stated)
+    except ValueError:
+        return value == stated
