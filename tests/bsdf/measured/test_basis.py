@@ -49,18 +49,6 @@ def test_the_basis_is_continuous_at_the_mirror_direction(name):
     assert np.abs(slope).max() < 1e-2 * np.abs(rows(BASES[name], step, 30.0) / step).max()
 
 
-@pytest.mark.parametrize("name", SMOOTH)
-def test_the_sum_at_one_direction_is_that_of_several(name):
-    functions, random = BASES[name], np.random.default_rng(1)
-    coefficient = random.standard_normal((functions.harmonic.size, 2))
-    theta, phi, cosine, even, odd = (random.random((5, 6)).T * [140, 360, 1, 1, 1]).T
-    theta[:2] = 0.0, 180.0
-    sums = functions.sums(coefficient, theta, phi, cosine, even, odd)
-    windows = functions.windows(coefficient)
-    alone = [functions.sum_of_one(windows, *at) for at in zip(theta, phi, cosine, even, odd, strict=True)]
-    np.testing.assert_allclose(alone, sums, rtol=1e-12, atol=1e-12)
-
-
 def test_the_printed_basis_is_ambiguous_at_the_mirror_direction():
     assert np.ptp(rows(BASES["keldysh-printed"], 0.0, np.linspace(0, 180, 7)), axis=0).max() == pytest.approx(2)
 

@@ -10,7 +10,7 @@ import rig_primary
 import samples
 
 from brdfpipe import store, vocabulary
-from brdfpipe.bsdf.measured import completion, coordinates, evaluation, smoothing
+from brdfpipe.bsdf.measured import completion, coordinates, evaluation, node_interpolation, smoothing
 from brdfpipe.bsdf.registry import representation
 from brdfpipe.errors import VocabularyError
 
@@ -69,6 +69,21 @@ def test_one_direction_is_evaluated_as_several_are(request, name, low, high):
     alone = [accessor.evaluate(*map(float, pair)).values for pair in zip(*angles, strict=True)]
     np.testing.assert_allclose(alone, accessor.evaluate(*angles).values, rtol=1e-13)
     assert not accessor.evaluate(120.0, 0.0, 130.0, 0.0).values.any()
+
+
+@pytest.mark.parametrize("about", ["half", "mirror"])
+@pytest.mark.parametrize("isotropic", [True, False])
+def test_compiled_values_are_those_of_the_basis_functions(about, isotropic):
+    primary = rig_primary.measured(paint, INCIDENCES, WAVELENGTHS)
+    smoothed = smoothing.smooth(primary, about=about, isotropic=isotropic, mirror_symmetric=isotropic)
+    side = node_interpolation.Side.of(completion.complete(smoothed), False, slice(None))
+    theta_i, _, theta_o, phi = lanes(2000, high=89.999)
+    theta_o[:50], phi[:50] = theta_i[:50], 180.0  # the mirror direction
+    theta_i[50:60], theta_o[55:65] = 0.0, 0.0
+    theta_i[65:75], theta_o[70:80], phi[75:85] = INCIDENCES[-1], side.horizon[-1], 0.0
+    theta_i[85:90] = 89.9999999
+    expected = node_interpolation.path_values(side, node_interpolation.path_directions(side, theta_i, theta_o, phi))
+    np.testing.assert_allclose(node_interpolation.side_values(side, theta_i, theta_o, phi), expected, rtol=1e-11)
 
 
 def test_a_representation_without_uncertainties_names_those_with_them():

@@ -23,9 +23,9 @@ from brdfpipe.store import canonical_json
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
-_DEGREE = 3
-_GRAZING = (0.05, 0.15)  # scales in cos θ_o of the functions that describe the BSDF towards grazing
-_FINE = (0, 1, 2, 4)
+DEGREE = 3
+GRAZING = (0.05, 0.15)  # scales in cos θ_o of the functions that describe the BSDF towards grazing
+FINE = (0, 1, 2, 4)
 """Harmonics with all knots: a lobe stretched along the plane of incidence needs even ones; others have every second knot."""
 _MOST_POINTS = 20_000  # largest number of points over the sphere: 1.4° apart
 _AZIMUTHAL = 5.0  # weight of curvature along φ over that along ϑ: lobes vary less around the mirror direction
@@ -62,13 +62,13 @@ class PSpline:
         sizes = [self._radial(k, np.zeros(1)).shape[1] for k in range(self.harmonics + 1)]
         cosines = np.repeat(np.arange(self.harmonics + 1), sizes)
         sines = np.empty(0, dtype=int) if self.symmetric else cosines[cosines > 0]
-        return np.concatenate([cosines, sines, np.zeros(len(_GRAZING), dtype=int)])
+        return np.concatenate([cosines, sines, np.zeros(len(GRAZING), dtype=int)])
 
     def rows(self, theta: Array, phi: Array, cosine: Array) -> Array:
         """The functions (directions, terms) at ϑ and φ [degree] and cos θ_o of the same directions."""
         t = np.arcsinh(np.asarray(theta) / self.scale)
         splines = {fine: self._splines(fine, t).toarray() for fine in (True, False)}
-        blocks = [self._smooth_at_0(k, splines[k in _FINE]) * wave[:, None] for k, wave in self._harmonics(phi)]
+        blocks = [self._smooth_at_0(k, splines[k in FINE]) * wave[:, None] for k, wave in self._harmonics(phi)]
         return np.concatenate([*blocks, _grazing(cosine)], axis=1)
 
     def sums(self, coefficient: Array, theta: Array, phi: Array, cosine: Array, even: Array, odd: Array) -> Array:
@@ -78,10 +78,10 @@ class PSpline:
         """
         t = np.arcsinh(np.asarray(theta) / self.scale)
         splines = {fine: self._splines(fine, t) for fine in (True, False)}
-        total = _grazing(cosine) @ coefficient[-len(_GRAZING) :] * even[:, None]
+        total = _grazing(cosine) @ coefficient[-len(GRAZING) :] * even[:, None]
         start = 0
         for k, wave in self._harmonics(phi):
-            matrix = splines[k in _FINE]
+            matrix = splines[k in FINE]
             own = coefficient[start : start + matrix.shape[1] - max(min(k, 3), 1)]
             start += len(own)
             # As coefficients of all splines: the first two of k = 0 are one function, the first of others are left out.
@@ -90,51 +90,6 @@ class PSpline:
             )
             total += (matrix @ own) * (wave * (odd if k % 2 else even))[:, None]
         return total
-
-    def windows(self, coefficient: Array) -> tuple[Array, ...]:
-        """Coefficients (terms, any) as :meth:`sum_of_one` needs them: (span, four splines of each harmonic, any) of each block."""
-        windows = []
-        for _, _, terms, knots in self._blocks:
-            spline = np.arange(knots.size - 2 * _DEGREE - 1)[:, None] + np.arange(_DEGREE + 1)
-            chosen = np.moveaxis(terms[:, spline], 1, 0).reshape(len(spline), -1)
-            windows.append(np.where(chosen[..., None] >= 0, coefficient[chosen], 0.0))
-        return *windows, coefficient[-len(_GRAZING) :]
-
-    def sum_of_one(
-        self, windows: tuple[Array, ...], theta: Array, phi: Array, cosine: Array, even: Array, odd: Array
-    ) -> Array:
-        """:meth:`sums` at one direction, (any,); angles and weights are numbers."""
-        t, azimuth = float(np.arcsinh(theta / self.scale)), np.radians(phi)
-        total: Array = np.exp(-np.maximum(cosine, 0.0) / np.array(_GRAZING)) @ windows[-1] * even
-        for (orders, sines, _, knots), window in zip(self._blocks, windows, strict=False):
-            first, splines = _nonzero_splines(knots, t)
-            waves = np.cos(orders * azimuth)
-            if sines.any():
-                waves[sines] = np.sin(orders[sines] * azimuth)
-            waves *= even if even == odd else np.where(orders % 2, odd, even)
-            total += (waves[:, None] * splines).reshape(-1) @ window[first]
-        return total
-
-    @cached_property
-    def _blocks(self) -> list[tuple[NDArray[np.int64], NDArray[np.bool_], NDArray[np.int64], Array]]:
-        """Of the harmonics with all knots, and of the others: k, whether it is a sine, the term of each spline (harmonic, spline) or −1 for
-        none, and the knots.
-        """
-        orders = np.concatenate(
-            [np.arange(self.harmonics + 1), np.arange(1, 1 if self.symmetric else self.harmonics + 1)]
-        )
-        starts = np.concatenate([[0], np.cumsum([self._radial(k, np.zeros(1)).shape[1] for k in orders])])
-        blocks = []
-        for fine in (True, False):
-            places = np.flatnonzero(np.isin(orders, _FINE) == fine)
-            knots, k = self._knots(fine), orders[places]
-            spline = np.arange(knots.size - _DEGREE - 1)
-            # The first two splines of k = 0 are one function; the first splines of others are left out.
-            without = np.clip(k, 1, 3)[:, None]
-            terms = starts[places][:, None] + np.maximum(spline - without, 0)
-            terms[(spline < without) & (k > 0)[:, None]] = -1
-            blocks.append((k, places > self.harmonics, terms, knots))
-        return blocks
 
     def roughness(self, theta: Array, phi: Array) -> Array:
         """Rows D (any, terms); the cells at ϑ and φ do not matter to this basis."""
@@ -150,7 +105,7 @@ class PSpline:
             blocks += blocks[1:]
         from scipy.linalg import block_diag
 
-        return np.asarray(block_diag(*blocks, np.eye(len(_GRAZING))))
+        return np.asarray(block_diag(*blocks, np.eye(len(GRAZING))))
 
     def _harmonics(self, phi: Array) -> Iterator[tuple[int, Array]]:
         """k and cos kφ, then k and sin kφ without symmetry, in the order of the terms."""
@@ -161,7 +116,7 @@ class PSpline:
             yield k, np.sin(k * azimuth)
 
     def _radial(self, k: int, t: Array, derivative: int = 0) -> Array:
-        return self._smooth_at_0(k, self._splines(k in _FINE, t, derivative).toarray())
+        return self._smooth_at_0(k, self._splines(k in FINE, t, derivative).toarray())
 
     def _smooth_at_0(self, k: int, splines: Array) -> Array:
         """The splines whose products with cos kφ are smooth at ϑ = 0."""
@@ -170,20 +125,20 @@ class PSpline:
         # The slopes at 0 of the first two cancel.
         return np.concatenate([splines[:, :1] + splines[:, 1:2], splines[:, 2:]], axis=1)
 
-    def _knots(self, fine: bool) -> Array:
+    def knots(self, fine: bool) -> Array:
         """Of the splines, with the ends fourfold."""
         edges = np.asarray(self.edges)[:: 1 if fine else 2]
-        return np.concatenate([edges[:1].repeat(_DEGREE), edges, edges[-1:].repeat(_DEGREE)])
+        return np.concatenate([edges[:1].repeat(DEGREE), edges, edges[-1:].repeat(DEGREE)])
 
     def _splines(self, fine: bool, t: Array, derivative: int = 0) -> csr_array:
         from scipy.interpolate import BSpline
         from scipy.sparse import csr_array
 
-        knots = self._knots(fine)
+        knots = self.knots(fine)
         inside = np.minimum(t, knots[-1])
         if derivative == 0:
-            return BSpline.design_matrix(inside, knots, _DEGREE)
-        return csr_array(BSpline(knots, np.eye(knots.size - _DEGREE - 1), _DEGREE)(inside, derivative))
+            return BSpline.design_matrix(inside, knots, DEGREE)
+        return csr_array(BSpline(knots, np.eye(knots.size - DEGREE - 1), DEGREE)(inside, derivative))
 
 
 @dataclass(frozen=True)
@@ -224,17 +179,6 @@ class Keldysh:
         weight = np.where(self.harmonic % 2, odd[:, None], even[:, None])
         return (self.rows(theta, phi, cosine) * weight) @ coefficient
 
-    def windows(self, coefficient: Array) -> tuple[Array, ...]:
-        """Coefficients (terms, any) as :meth:`sum_of_one` needs them."""
-        return (coefficient,)
-
-    def sum_of_one(
-        self, windows: tuple[Array, ...], theta: Array, phi: Array, cosine: Array, even: Array, odd: Array
-    ) -> Array:
-        """See :meth:`PSpline.sum_of_one`."""
-        one, two, three, four, five = (np.reshape(part, 1) for part in (theta, phi, cosine, even, odd))
-        return np.asarray(self.sums(windows[0], one, two, three, four, five)[0])
-
     def roughness(self, theta: Array, phi: Array) -> Array:
         """√Ω ∇F on the cells, Ω their Voronoi solid angles: ∇ = e_ϑ ∂_ϑ + e_φ (1/sin ϑ) ∂_φ, per radian."""
         value, slope = self._radial(theta)
@@ -266,24 +210,8 @@ class Keldysh:
         return np.cos(angle)[:, which.ravel()], (-k * np.sin(angle))[:, which.ravel()]
 
 
-def _nonzero_splines(knots: Array, t: float) -> tuple[int, Array]:
-    """First of the cubic B-splines that are not 0 at a place within the knots, and the values of these four (de Boor)."""
-    t = min(t, float(knots[-1]))
-    last = min(int(knots.searchsorted(t, side="right")), knots.size - _DEGREE - 1) - 1
-    around = knots[last - _DEGREE + 1 : last + _DEGREE + 1].tolist()
-    values = [1.0, 0.0, 0.0, 0.0]
-    for degree in range(1, _DEGREE + 1):
-        lower, values = values, [0.0] * (_DEGREE + 1)
-        for n in range(degree):
-            above, below = around[_DEGREE + n], around[_DEGREE + n - degree]
-            share = lower[n] / (above - below)
-            values[n] += share * (above - t)
-            values[n + 1] = share * (t - below)
-    return last - _DEGREE, np.array(values)
-
-
 def _grazing(cosine: Array) -> Array:
-    return np.exp(-np.maximum(cosine, 0.0)[:, None] / np.array(_GRAZING))
+    return np.exp(-np.maximum(cosine, 0.0)[:, None] / np.array(GRAZING))
 
 
 Basis: TypeAlias = PSpline | Keldysh

@@ -32,7 +32,7 @@ from brdfpipe.bsdf.measured.node_interpolation import (
     path_values,
     side_values,
 )
-from brdfpipe.geometry import Array, as_numbers, unit_vector
+from brdfpipe.geometry import Array, unit_vector
 from brdfpipe.hemisphere import around_mirror
 
 if TYPE_CHECKING:
@@ -76,24 +76,7 @@ class Prepared:
 
     def evaluate(self, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array) -> Array:
         """See :func:`evaluate`."""
-        one = as_numbers(theta_i, phi_i, theta_o, phi_o)
-        if one is None:
-            return _over_sides(side_values, self, (theta_i, phi_i, theta_o, phi_o))
-        return self._of_one(*one)
-
-    def _of_one(self, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array) -> Array:
-        """BSDF of one pair of directions as numbers, (wavelength or 1,)."""
-        transmits = self.bsdf.attrs["transmission"] != "none"
-        if theta_i < 90 and theta_o < 90:
-            values = side_values(self.reflection, theta_i, theta_o, phi_o - phi_i)
-        elif transmits and theta_i < 90 < theta_o:
-            values = side_values(self.transmission, theta_i, 180 - theta_o, phi_o - phi_i)
-        elif transmits and theta_o < 90 < theta_i:
-            # Light from below is transmitted as light from above along the reversed path.
-            values = side_values(self.transmission, theta_o, 180 - theta_i, phi_i - phi_o)
-        else:
-            return np.zeros(self.mixing[1].shape[1])
-        return np.asarray(values @ self.mixing[1])
+        return _over_sides(side_values, self, (theta_i, phi_i, theta_o, phi_o))
 
     def uncertainty(self, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array) -> Array:
         """See :func:`uncertainty`."""

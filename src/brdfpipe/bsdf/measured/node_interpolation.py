@@ -10,8 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from types import EllipsisType
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -19,8 +18,9 @@ from numpy.typing import NDArray
 
 from brdfpipe import vocabulary
 from brdfpipe.bsdf.measured import basis as bases
-from brdfpipe.bsdf.measured import coordinates
-from brdfpipe.bsdf.measured.basis import Basis
+from brdfpipe.bsdf.measured import coordinates, node_kernel
+from brdfpipe.bsdf.measured.basis import Basis, PSpline
+from brdfpipe.bsdf.measured.node_kernel import Nodes
 from brdfpipe.geometry import Array
 
 TINY = 1e-30
@@ -86,19 +86,13 @@ class Side:
         return np.sqrt(self.abscissa)
 
     @cached_property
-    def windows(self) -> list[tuple[Array, ...]]:
-        """The coefficients of each node, as one direction needs them."""
-        return [self.basis.windows(of_node.T) for of_node in self.coefficient]
-
-    def sums(self, part: NodeContribution, even: Array, odd: Array) -> Array:
-        """Weighted sums of the functions of a node, (directions, wavelength), or (wavelength,) of one pair as numbers."""
-        if np.ndim(part.even) == 0:
-            return self.basis.sum_of_one(self.windows[part.node], *part.coordinates, even, odd)
-        return self.basis.sums(self.coefficient[part.node].T, *part.coordinates, even, odd)
+    def arrays(self) -> Nodes | None:
+        """For :mod:`~brdfpipe.bsdf.measured.node_kernel`; None unless a logarithm was fitted with P-splines."""
+        return Nodes.of(self, self.basis, _MARGIN) if self.logarithmic and isinstance(self.basis, PSpline) else None
 
 
 class PathDirection(NamedTuple):
-    """Pairs of directions, or one as numbers, for light that takes their paths in one direction, and the weight of that direction."""
+    """Pairs of directions for light that takes their paths in one direction, and the weight of that direction."""
 
     theta_i: Array
     theta_o: Array
@@ -121,7 +115,7 @@ class NodeContribution(NamedTuple):
     """The contribution of a node to the BSDF of some pairs of directions."""
 
     node: int
-    pairs: NDArray[np.int64] | EllipsisType  # which pairs; ... for the one
+    pairs: NDArray[np.int64]  # which pairs
     even: Array  # weight of functions even in σ, the weight of the path direction included
     odd: Array  # weight of functions odd in σ; that of the even ones where no logarithm was fitted
     coordinates: LobeCoordinates
@@ -142,24 +136,26 @@ def path_directions(side: Side, theta_i: Array, theta_o: Array, phi: Array) -> l
 
 
 def side_values(side: Side, theta_i: Array, theta_o: Array, phi: Array) -> Array:
-    """BSDF (directions, wavelength), or (wavelength,) of one pair as numbers."""
+    """BSDF (directions, wavelength)."""
+    if side.arrays:
+        return node_kernel.values(side.arrays, theta_i, theta_o, phi)
     return path_values(side, path_directions(side, theta_i, theta_o, phi))
 
 
 def path_values(side: Side, paths: list[PathDirection]) -> Array:
-    """BSDF averaged over path directions, (directions, wavelength), or (wavelength,) of one pair as numbers."""
+    """BSDF averaged over path directions, (directions, wavelength)."""
     shape = (*np.shape(paths[0].theta_i), side.coefficient.shape[1])
     total, geometric, positive = np.zeros(shape), np.zeros(shape), np.ones(shape, dtype=bool)
     low, high = np.zeros(shape), np.zeros(shape)
     for part in node_contributions(side, paths):
         pairs, even = part.pairs, part.even[..., None]
         if side.logarithmic:
-            total[pairs] += side.sums(part, part.even, part.odd)
+            total[pairs] += side.basis.sums(side.coefficient[part.node].T, *part.coordinates, part.even, part.odd)
             low[pairs] += even * side.lowest[part.node]
             high[pairs] += even * side.highest[part.node]
             continue
         one = np.ones(np.shape(part.even))
-        value = side.sums(part, one, one)
+        value = side.basis.sums(side.coefficient[part.node].T, *part.coordinates, one, one)
         total[pairs] += even * value
         geometric[pairs] += even * np.log(np.maximum(value, TINY))
         positive[pairs] &= (value > 0) | (even == 0)
@@ -172,35 +168,12 @@ def node_contributions(side: Side, paths: list[PathDirection]) -> Iterator[NodeC
     """The contribution of each node to the directions next to it, for each path direction."""
     for path in paths:
         lobe = lobe_coordinates(side, path)
-        if np.ndim(path.theta_i) == 0:
-            for node, (even, odd) in _weights_of_one(side, path.theta_i).items():
-                even, odd = even * path.weight, odd * path.weight
-                if even > 0 or odd > 0:
-                    at_node, _ = coordinates_at_node(side, node, lobe)
-                    yield NodeContribution(node, ..., even, odd if side.logarithmic else even, at_node)
-            continue
         for node in _nodes_beside(side, path.theta_i):
             even, odd = (weight * path.weight for weight in node_weights(side, node, path.theta_i))
             pairs = np.flatnonzero((even > 0) | (odd > 0))
             if pairs.size:
                 at_node, _ = coordinates_at_node(side, node, lobe.select(pairs))
                 yield NodeContribution(node, pairs, even[pairs], (odd if side.logarithmic else even)[pairs], at_node)
-
-
-def _weights_of_one(side: Side, theta_i: Array) -> dict[int, tuple[Any, Any]]:
-    """:func:`node_weights` of the nodes that have any at one incidence."""
-    x = interpolation_abscissa(theta_i)
-    even, odd = (_hats_of_one(nodes, at) for nodes, at in ((side.abscissa, x), (side.root_abscissa, np.sqrt(x))))
-    return {node: (even.get(node, np.float64(0.0)), odd.get(node, np.float64(0.0))) for node in sorted({*even, *odd})}
-
-
-def _hats_of_one(nodes: Array, at: Array) -> dict[int, Any]:
-    """Hat functions of the nodes beside a number."""
-    after = int(nodes.searchsorted(at, side="right"))
-    if after in (0, nodes.size):
-        return {min(after, nodes.size - 1): np.float64(1.0)}
-    share = (1 / (nodes[after] - nodes[after - 1])) * (at - nodes[after - 1])
-    return {after - 1: 1 - share, after: share}
 
 
 def _nodes_beside(side: Side, theta_i: Array) -> Iterable[int]:
@@ -234,14 +207,6 @@ def coordinates_at_node(
     The functions of cos θ_o are evaluated where the light leaves, not where it would leave at the node.
     """
     theta, phi, cosine = lobe
-    if np.ndim(theta) == 0:
-        theta_o, phi_o = coordinates.outgoing(side.about, side.incidence[node], theta, phi)
-        lowest = side.horizon[node]
-        if clamped:
-            cosine = np.maximum(cosine, np.cos(np.radians(lowest)))
-            if theta_o > lowest:
-                theta, phi = coordinates.angles(side.about, side.incidence[node], lowest, phi_o)
-        return LobeCoordinates(theta, phi, cosine), np.asarray(theta_o > lowest)
     incidence = np.full_like(theta, side.incidence[node])
     theta_o, phi_o = coordinates.outgoing(side.about, incidence, theta, phi)
     below = theta_o > side.horizon[node]
