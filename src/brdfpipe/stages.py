@@ -164,6 +164,8 @@ class Stage:
     """Whether the result may be deleted: it is made again only when another stage that needs it runs."""
     fills_folder: bool = False
     """Whether the stage also writes other files into the folder of its result, which is its alone."""
+    beside: tuple[str, ...] = ()
+    """Patterns of files that the stage may write beside its result."""
     memory: int = 1000
     """Largest memory of a job, MB; workers hold libraries and what earlier stages left, 900 MB in a build of 100 materials."""
     minutes: int = 0
@@ -525,7 +527,6 @@ def _page_parameters(subject: Subject, wildcards: Wildcards) -> dict[str, Any]:
     unused = unused_keys(subject.owner.content)
     return (
         _row_parameters(subject, wildcards)
-        | {"exports": sorted(subject.exports)}
         | ({"unused": unused} if unused else {})
         | ({"origins": [list(row) for row in rows]} if (rows := subject.owner.origins) else {})  # type: ignore[union-attr]
     )
@@ -574,9 +575,16 @@ class Export(NamedTuple):
         return f"export_{self.format.name.replace('-', '_')}" + ("" if self.side == "reflection" else f"_{self.side}")
 
     @property
-    def files(self) -> list[str]:
+    def result(self) -> str:
+        """Pattern of the dataset that says what was written."""
+        return f"{{scene}}{{material}}/{self.name}.nc"
+
+    @property
+    def files(self) -> tuple[str, ...]:
         """Patterns of the files, the main one first."""
-        return [f"{{scene}}{{material}}/exports/{{material}}{suffix}" for suffix in self.format.suffixes(self.side)]
+        return tuple(
+            f"{{scene}}{{material}}/exports/{{material}}{suffix}" for suffix in self.format.suffixes(self.side)
+        )
 
     @property
     def stage(self) -> Stage:
@@ -589,7 +597,7 @@ class Export(NamedTuple):
             keys=StageKeys(("exports",), (), lambda subject, _: {"format": name, "side": self.side}),
             script="export",
             modules=(self.format.module,),
-            kind="",
+            beside=self.files,
             memory=1500,
             minutes=1,
         )
@@ -995,7 +1003,7 @@ _STAGES = (
         "report",
         "the page of a material",
         when=_asked("page"),
-        keys=StageKeys(("description", "exports", "accept"), (), _page_parameters),
+        keys=StageKeys(("description", "accept"), (), _page_parameters),
         kind="",
         minutes=1,
     ),

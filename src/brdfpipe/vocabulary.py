@@ -754,6 +754,7 @@ KINDS: Mapping[str, Kind] = {
             "transmission_haze": SCALAR,
         },
     ),
+    "export": Kind({}, attributes=("format", "side", "files", "records")),
     "preview": Kind({"picture": [("row", "column", "channel")]}, attributes=("illuminant", "light", "white_level")),
     "checks": Kind(
         {

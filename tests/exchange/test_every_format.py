@@ -55,6 +55,17 @@ def options(name: str) -> dict[str, object]:
     return dict(GRID) if FORMATS[name].takes == "grid" else {}
 
 
+def _stated(name: str, file: Path) -> dict[str, float]:
+    """The error that is stated beside a file, or in it for the formula that is read."""
+    if FORMATS[name].has_record:
+        return json.loads(Path(f"{file}.json").read_text())["error"]
+    fits = json.loads(file.read_text())["fits"]
+    found = [
+        one for fit in fits for one in (fit, fit.get("by_incidence", {})) if {"parameters", "incidences"} & set(one)
+    ]
+    return min((one["error"] for one in found), key=lambda error: error["percentile_95"])
+
+
 @pytest.mark.parametrize("name", ROUND_TRIPS)
 def test_a_round_trip_keeps_the_stated_error(name: str, tmp_path: Path) -> None:
     bsdf = material("grey")
@@ -62,7 +73,7 @@ def test_a_round_trip_keeps_the_stated_error(name: str, tmp_path: Path) -> None:
     declared.write(bsdf, tmp_path / "x", **options(name))
     file = tmp_path / f"x{declared.suffixes('reflection')[0]}"
     found = read(file, name).bsdf.nonspectral() if "wavelength" in read(file, name).coords else read(file, name)
-    stated = json.loads(Path(f"{file}.json").read_text())["error"]
+    stated = _stated(name, file)
     again = error_of(bsdf, representation(found).evaluate, fresh_pairs(bsdf, 31))
     # Other directions than those of the statement, of 12 incidences each.
     assert again.percentile_95 <= 1.6 * stated["percentile_95"] + 2e-3

@@ -3,15 +3,22 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 import samples
+from damaged_files import garbled
 
 from brdfpipe import facets, optics
 from brdfpipe.bsdf import microfacet
+from brdfpipe.errors import InputError
+from brdfpipe.exchange import parameters
+from brdfpipe.exchange.fits import evaluated
+from brdfpipe.exchange.fits.scatter import FORMULAS, at_incidence
 from brdfpipe.exchange.read_table import ReadTable, as_bsdf
+from brdfpipe.exchange.reading import read
 from brdfpipe.exchange.registry import ExchangeError, write
 
 
@@ -93,3 +100,69 @@ def test_a_material_without_any_formula_is_refused(tmp_path: Path) -> None:
         with pytest.raises(ExchangeError, match=f"{option} is 0"):
             write(samples.beckmann_bsdf(0.2), tmp_path / "x.parameters.json", **{option: 0})
     assert not list(tmp_path.iterdir())
+
+
+HARVEY = {"b0": 0.8, "l": 0.1, "s": 2.0, "L": 0.2}
+HARVEY_AT_60 = {"b0": 2.0, "l": 0.08, "s": 2.5, "L": 0.15}
+
+
+def _document() -> dict:
+    rows = [
+        {"theta_i": 0, "parameters": HARVEY},
+        {"theta_i": 30, "refused": "off"},
+        {"theta_i": 60, "parameters": HARVEY_AT_60},
+    ]
+    listed = {"error": {"percentile_95": 0.1}, "incidences": rows}
+    harvey = {"formula": "harvey", "parameters": HARVEY, "error": {"percentile_95": 0.5}, "by_incidence": listed}
+    abg = {"formula": "abg", "refused": "the median error is above the limit", "error": {"percentile_95": 2.0}}
+    ggx = {"formula": "ggx", "parameters": {"alpha": 0.3, "n": 1.5, "L": 0.2}, "error": {"percentile_95": 0.3}}
+    return {"fits": [abg, harvey, ggx]}
+
+
+def _written(folder: Path, document: object) -> Path:
+    path = folder / "x.parameters.json"
+    path.write_text(json.dumps(document))
+    return path
+
+
+def test_the_formula_with_the_least_error_is_evaluated(tmp_path: Path) -> None:
+    found = read(_written(tmp_path, _document()))
+    at = np.array([[0.0, 0, 8, 170], [60, 0, 58, 181], [45, 0, 0, 0], [30, 0, 50, 120]]).T
+    expected = at_incidence(FORMULAS["harvey"], {0.0: HARVEY, 60.0: HARVEY_AT_60})(*at, None)[:, 0]
+    assert np.ravel(found.bsdf.evaluate(*at)) == pytest.approx(expected, rel=0.02)
+    assert "harvey by incidence (2)" in found.attrs["history"]
+    assert "not evaluated: harvey" in found.attrs["history"]
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda fits: fits.clear(), "no formula has parameters"),
+        (lambda fits: fits[1].update(parameters={**HARVEY, "l": 0}), "l of harvey is out of range"),
+        (lambda fits: fits[1].update(parameters={"b0": 1}), "l of harvey is not a number.*None"),
+        (lambda fits: fits[2].update(parameters={"alpha": 0.3, "n": 0.5, "L": 0.2}), "ggx out of range"),
+        (lambda fits: fits[1]["by_incidence"]["incidences"].reverse(), "do not increase"),
+        (lambda fits: fits[1].update(parameters=7), "parameters is not an object"),
+    ],
+)
+def test_parameters_that_contradict_themselves_are_refused(tmp_path: Path, change: Callable, message: str) -> None:
+    document = _document()
+    change(document["fits"])
+    with pytest.raises(InputError, match=message):
+        read(_written(tmp_path, document), "parameters")
+
+
+@pytest.mark.parametrize("count", [40, pytest.param(300, marks=pytest.mark.slow)])
+def test_garbled_files_are_read_or_refused_and_never_crash(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, count: int
+) -> None:
+    monkeypatch.setattr(evaluated, "_STEPS_OF_LOBE", 4)
+    monkeypatch.setattr(evaluated, "_THETA_D", np.array([0.0, 45, 89]))
+    content, refused = json.dumps(_document(), indent=1).encode(), 0
+    for damaged in garbled(content, count):
+        (tmp_path / "x.parameters.json").write_bytes(damaged)
+        try:
+            assert np.isfinite(parameters.read(tmp_path / "x.parameters.json").values).all()
+        except InputError:
+            refused += 1
+    assert refused >= count / 4

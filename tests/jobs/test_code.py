@@ -296,7 +296,7 @@ def test_the_digest_of_a_stage_covers_every_module_that_its_run_loads(tmp_path: 
     run("preview", same("bsdf"), same("preview", "png"))
     run("table", same("bsdf"), same("table"))
     run("lambert_gauss", same("bsdf"), same("lambert_gauss", "csv"))
-    run("export_astm", same("bsdf"), {"file": "file.astm"})
+    run("export_astm", same("bsdf"), {"export": "export_astm.nc"})
     run("report", same("facets", "bsdf"), same("page"))
     run("summary", same("facets", "bsdf"), same("summary"))
     run("catalogue", {"summaries": ["summary"]}, same("dataset", "csv", "lock", "page"), {"failures": {}})

@@ -7,6 +7,7 @@ import re
 from typing import Any
 
 import pytest
+import xarray as xr
 from catalogue_rows import Datasets, row
 
 from brdfpipe.appearance.quantities import quantity
@@ -22,7 +23,16 @@ def linked_data(html: str) -> Any:
 
 
 def test_a_page_describes_its_material_with_values_in_the_digits_of_the_table(full: Datasets) -> None:
-    data = linked_data(material_page(full, description="A black panel", exports=["astm"]))
+    name = str(full["bsdf"].attrs["material"])
+    astm = {
+        "kind": "export",
+        "format": "astm",
+        "side": "reflection",
+        "files": f'{{"{name}.astm": "0"}}',
+        "records": "{}",
+    }
+    exported = full | {"export_astm": xr.Dataset(attrs=astm)}
+    data = linked_data(material_page(exported, description="A black panel"))
     of_table = summarise(full)
     assert (data["@context"], data["@type"]) == ("https://schema.org", "Dataset")
     assert (data["name"], data["description"]) == (str(of_table["material"].values[0]), "A black panel")

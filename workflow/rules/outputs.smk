@@ -97,8 +97,7 @@ for export in EXPORTS:
         input:
             **results_of("bsdf"),
         output:
-            file=export.files[0],
-            beside=export.files[1:],
+            export=export.result,
         run:
             pipeline.run(rule, wildcards, input, output, params)
 

@@ -1,12 +1,22 @@
+from pathlib import Path
+
 from brdfpipe import store
-from brdfpipe.exchange.registry import FORMATS
+from brdfpipe.exchange.material_export import export
 
 
 def main(input, output, params):
     """The files of one side of a material, in a format of other programs."""
-    format, side = FORMATS[params["spec"]["format"]], params["spec"]["side"]
-    stem = output["file"].removesuffix(format.suffixes(side)[0])
-    format.write(store.shared_dataset(input["bsdf"], "bsdf"), stem, side)
+    bsdf, spec = store.shared_dataset(input["bsdf"], "bsdf"), params["spec"]
+    folder = Path(output["export"]).parent / "exports"
+    exported = export(bsdf, folder, params["material"], **spec)
+    store.save_dataset(
+        exported,
+        output["export"],
+        stage=Path(output["export"]).stem,
+        material=params["material"],
+        inputs={"bsdf": bsdf},
+        parameters=spec,
+    )
 
 
 if __name__ == "__main__":

@@ -10,6 +10,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+import xarray as xr
+
 from brdfpipe import vocabulary
 from brdfpipe.appearance.origin import PREDICTION_INPUTS, Datasets, is_measured
 from brdfpipe.appearance.validity import validity
@@ -24,7 +26,7 @@ Acceptances = Sequence[Mapping[str, str]]
 """Warnings that a description accepts: ``warning``, a part of its text in any case of letters, and ``reason``."""
 
 _BY_PRODUCTS = ("preview", "table", "lambert_gauss")
-"""Stages whose warnings concern a by-product and not the BRDF."""
+"""Stages whose warnings concern a by-product and not the BRDF; exports too, which are recognised by their kind."""
 
 
 @dataclass(frozen=True)
@@ -121,8 +123,21 @@ def _accepted_entry(entry: Verdict, accepted: Acceptances) -> Verdict:
     return entry if reason is None else replace(entry, verdict=ACCEPTED, text=f"{entry.text} (accepted: {reason})")
 
 
+def refused_exports(datasets: Datasets, accepted: Acceptances = ()) -> list[str]:
+    """Why formats of other programs were not written; without refusals that the description accepts."""
+    exports = (dataset for dataset in datasets.values() if _is_export(dataset))
+    texts = (text for dataset in exports for text in vocabulary.warnings(dataset))
+    return [text for text in texts if reason_to_accept(text, accepted) is None]
+
+
+def _is_export(dataset: xr.Dataset) -> bool:
+    return dataset.attrs.get("kind") == "export"
+
+
 def _own_warnings(datasets: Datasets) -> list[tuple[str, str]]:
-    return stage_warnings({stage: dataset for stage, dataset in datasets.items() if stage not in _BY_PRODUCTS})
+    return stage_warnings(
+        {stage: dataset for stage, dataset in datasets.items() if stage not in _BY_PRODUCTS and not _is_export(dataset)}
+    )
 
 
 def _warning_verdicts(datasets: Datasets, accepted: Acceptances) -> Iterator[Verdict]:

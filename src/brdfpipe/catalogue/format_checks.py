@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from brdfpipe.catalogue.configuration import check_illuminant
-from brdfpipe.catalogue.material import BASE_INDEX, Material, at_key, raw_files
-from brdfpipe.catalogue.material_keys import MultiangleColours
+from brdfpipe.catalogue.material import BASE_INDEX, ROUTES, Material, at_key, raw_files
+from brdfpipe.catalogue.material_keys import MultiangleColours, states_lay
 from brdfpipe.catalogue.names import DESCRIPTION
 from brdfpipe.errors import BrdfpipeError, InputError, naming_key
 from brdfpipe.file_formats import extensions
@@ -106,6 +106,21 @@ def _check_colour(material: Material) -> None:
 
     has_index = material.has("index") and "index" not in material.files
     check_colour(material.content["spectrum"], refractive_index(material.content["index"]) if has_index else None)
+
+
+def refused_exports(material: Material) -> dict[str, str]:
+    """Formats of other programs that the build will not write → why, as far as the description shows it."""
+    from brdfpipe.exchange.registry import FORMATS
+
+    predicted = not any(material.has(part) for part, _ in ROUTES)
+    surface = material.content.get("surface", {})
+    has = ["lay"] if predicted and states_lay(surface.get("isotropic"), surface.get("layout")) else []
+    sides = ("reflection", "transmission") if material.has("slab") else ("reflection",)
+    refusals = {
+        name: "; ".join(FORMATS[name].refusals(material.name, has, sides))
+        for name in material.scene.exports(material.exports)
+    }
+    return {name: reason for name, reason in refusals.items() if reason}
 
 
 def _check_reading(material: Material, number: int, colour: Mapping[str, Any]) -> None:

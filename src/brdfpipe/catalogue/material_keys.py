@@ -158,6 +158,11 @@ class Scan(Keys):
     missing: float = key("as `surface.missing`", default_words=_LIKE_FIRST, example=-25400)
 
 
+def states_lay(isotropic: bool | None, layout: str | None) -> bool:
+    """Whether these keys of a surface say that its facets have a lay."""
+    return isotropic is False or (layout == "line" and isotropic is None)
+
+
 class MeasuredSurface(Keys):
     """A scan of a surface, and how it is read."""
 
@@ -286,7 +291,7 @@ class MeasuredSurface(Keys):
     @property
     def has_lay(self) -> bool:
         """Whether the description says that the facets have a lay; a map may show one without that."""
-        return self.isotropic is False or (self.is_line and self.isotropic is None)
+        return states_lay(self.isotropic, self.layout)
 
     @model_validator(mode="after")
     def _check_line_profile(self) -> Self:

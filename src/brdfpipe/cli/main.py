@@ -69,7 +69,7 @@ def build(
 ) -> int:
     """Build every material of CATALOGUE that changed, and the catalogue page; with NAMEs (* and ? match), these materials alone.
 
-    Exit code: 0 if every material was built; 1 if one was not, or if --fail-on says so; 2 if the
+    Exit code: 0 if every material was built; 1 if one was not, an export was refused, or if --fail-on says so; 2 if the
     catalogue or the configuration cannot be used, or the command of --notify failed.
     """
     import json
@@ -138,11 +138,11 @@ def check(catalogue: Path, config: Path | None, scene: str | None, reads: bool, 
     key, --read refuses in the words of the build. Colours are checked too: one that no spectrum has, and colours of an effect paint that its
     form does not fit. No dataset is computed.
 
-    Exit code: 1 if a material is wrong or needs a reader that is not installed.
+    Exit code: 1 if a material is wrong or needs a reader that is not installed, or an export will be refused.
     """
     from brdfpipe.catalogue.catalogue import ignored, load
     from brdfpipe.catalogue.configuration import load_config
-    from brdfpipe.catalogue.format_checks import check_formats
+    from brdfpipe.catalogue.format_checks import check_formats, refused_exports
     from brdfpipe.catalogue.material import summary_words, unused_keys
     from brdfpipe.catalogue.raw_reading import describe_files
     from brdfpipe.jobs.runs import planned_runs
@@ -150,7 +150,7 @@ def check(catalogue: Path, config: Path | None, scene: str | None, reads: bool, 
 
     loaded = load(catalogue, load_config(config), scene)
     problems = {**loaded.failures, **planned_runs(loaded)[1]}
-    summaries, contents = {}, {}
+    summaries, contents, refused = {}, {}, {}
     for material in loaded.materials:
         if material.name in problems:
             continue
@@ -161,24 +161,29 @@ def check(catalogue: Path, config: Path | None, scene: str | None, reads: bool, 
             problems[material.name] = str(refusal)
         else:
             unused = "".join(f"; `{key}` is not used: {why}" for key, why in unused_keys(material.content).items())
+            refused[material.name] = refused_exports(material)
             summaries[material.name] = f"ok ({', '.join(summary_words(material))}){unused}"
     skipped, notices = ignored(loaded.folder), list(scene_notices(loaded.scenes, loaded.config))
+    unwritten = sum(map(len, refused.values()))
     if as_json:
         further = loaded.further_problems
         found = {
             "ok": dict(sorted(summaries.items())),
             "wrong": {name: [problems[name], *further.get(name, ())] for name in sorted(problems)},
             "contents": {name: list(lines) for name, lines in sorted(contents.items()) if lines},
+            "refused_exports": {name: reasons for name, reasons in sorted(refused.items()) if reasons},
             "ignored": skipped,
             "unused_defaults": list(loaded.unused_defaults),
             "notices": notices,
         }
         print_json(found)
-        return 1 if problems else 0
+        return 1 if problems or unwritten else 0
     for name, message in sorted({**problems, **summaries}.items()):
         click.echo(f"{name}: {message}")
         for line in contents.get(name, ()):
             click.echo(printable(f"  {line}"))
+        for format, reason in refused.get(name, {}).items():
+            click.echo(f"  export {format} will not be written: {reason}; change `exports`")
         for mistake in loaded.further_problems.get(name, ()):
             click.echo(f"  also {mistake}")
     for name, reason in skipped.items():
@@ -187,8 +192,9 @@ def check(catalogue: Path, config: Path | None, scene: str | None, reads: bool, 
         click.echo(f"{loaded.defaults.path.name}: `{key}` is not used: no material inherits it")
     for notice in notices:
         click.echo(notice)
-    click.echo(f"{len(summaries)} ok, {len(problems)} wrong")
-    return 1 if problems else 0
+    exports = f", {unwritten} export{'s' if unwritten > 1 else ''} refused" if unwritten else ""
+    click.echo(f"{len(summaries)} ok, {len(problems)} wrong{exports}")
+    return 1 if problems or unwritten else 0
 
 
 @main.command(short_help="Report what changed between two results, and why.")

@@ -10,17 +10,18 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from brdfpipe import store
+from brdfpipe import store, vocabulary
 from brdfpipe.errors import InputError
 from brdfpipe.exchange import registry
 from brdfpipe.exchange.reading import read
 from brdfpipe.exchange.registry import ExchangeError
+from brdfpipe.exchange.specular_shares import stated_beside
 
 NETCDF = ".nc"
 
 
 def open_bsdf(path: str | os.PathLike[str], format: str | None = None, quantity: str | None = None) -> xr.Dataset:
-    """The BSDF of a netCDF file of this package, or of a file of another program.
+    """The BSDF of a netCDF file of this package, or of a file of another program; light in single directions that Integra keeps in a file beside is a warning.
 
     Parameters
     ----------
@@ -32,7 +33,8 @@ def open_bsdf(path: str | os.PathLike[str], format: str | None = None, quantity:
     InputError, StoreError : the file cannot be read, or is no BSDF.
     """
     if Path(path).suffix.lower() != NETCDF:
-        return read(path, format, quantity=quantity)
+        # A stage of a build reads the files that the description names, and none beside them.
+        return vocabulary.add_warning(read(path, format, quantity=quantity), *stated_beside(Path(path)))
     if format is not None or quantity is not None:
         raise InputError(Path(path), "a netCDF file states its own format and quantity", found=format or quantity)
     return store.open_dataset(path, "bsdf")

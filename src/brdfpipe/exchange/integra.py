@@ -43,6 +43,7 @@ FORMAT = Format(
     options={"colour": "bw"},
     spectral={"colour": "spectral"},
     read="read",
+    reads=(".sdr", ".sdt"),
 )
 
 _COLOURS = ("bw", "rgb", "spectral")
@@ -149,10 +150,15 @@ def _data(name: str, blocks: list[NDArray[np.float32]], kbdf: Array) -> Iterator
 
 
 def read(path: Path) -> ReadTable:
-    """Read the reflecting side.
+    """Read scattered light.
 
-    Raises InputError: the file contradicts itself, or is not of this format.
+    Raises InputError: the file contradicts itself, is not of this format, or holds shares of light in single directions alone.
     """
+    if path.suffix.lower() in specular_shares.SUFFIXES.values():
+        shares = specular_shares.read(path)
+        found = f"{shares.values.mean(axis=1)[0]:.4g} of the light at {shares.theta_i[0]:g}°"
+        accepted = "the table of scattered light beside it (.ddr, .ddt)"
+        raise InputError(path, "light in single directions alone is no BSDF", found=found, accepted=accepted)
     lines = Lines(path, ";")
     header, axes, first = _read_header(lines, path)
     for name in ("theta_i", "phi_s", "theta_s"):

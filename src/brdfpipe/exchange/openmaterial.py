@@ -30,6 +30,7 @@ from brdfpipe.geometry import Array
 FORMAT = Format(
     description="a table about the normal in JSON, for programs that read ASAM OpenMATERIAL 3D; not for surfaces with a lay",
     files={"reflection": {"write": ("_brdf.xompt",)}},
+    refuses=("lay",),
     takes="grid",
     carries=("spectrum",),
     options={"spectral": False, "author": "not stated", "copyright": "not stated", "license": "not stated"},

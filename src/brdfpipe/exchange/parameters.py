@@ -6,6 +6,7 @@ For optical design programs that take parameters instead of tables. A formula th
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -16,22 +17,32 @@ import xarray as xr
 from brdfpipe import store
 from brdfpipe.appearance.origin import METAL_EXTINCTION
 from brdfpipe.bsdf.nonspectral import nonspectral
+from brdfpipe.errors import InputError
 from brdfpipe.exchange import records
+from brdfpipe.exchange.fits import evaluated
 from brdfpipe.exchange.fits.fitting import Fit, Form, delta_e_of_greys, fit, index_of, luminance_of_rgb
-from brdfpipe.exchange.fits.forms import by_albedo, dielectric
+from brdfpipe.exchange.fits.forms import Lobe, Material, by_albedo, dielectric
 from brdfpipe.exchange.fits.scatter import (
     FORMULAS,
     LISTED_INCIDENCES,
     ScatterError,
+    at_incidence,
     error_by_incidence,
     fit_formula,
 )
+from brdfpipe.exchange.listed_points import read_object
+from brdfpipe.exchange.read_table import ReadTable
 from brdfpipe.exchange.registry import ExchangeError, Format
+
+_LARGEST_PARAMETER = 1e12
 
 FORMAT = Format(
     description="parameters of ABg, Harvey, K-correlation, GGX and Beckmann, fitted, for optical design programs",
     files={"reflection": {"write": (".parameters.json",)}},
+    refuses=("lay",),
     options={"largest_error": 0.25, "largest_delta_e": 5.0},
+    read="read",
+    begins=('"fits"', '"formula"'),
 )
 
 
@@ -147,6 +158,103 @@ def _error(found: ScatterError | Fit) -> dict[str, float]:
     sizes = {name: _digits(getattr(found, name)) for name in ("median", "percentile_95", "albedo", "peak")}
     colour = {} if found.delta_e is None else {"delta_e_00": _digits(found.delta_e)}
     return {**sizes, **colour, "directions": found.directions}
+
+
+def read(path: Path) -> ReadTable:
+    """The formula of the file with the least error at the 95th percentile, evaluated: with one set of parameters, or with those by incidence.
+
+    Raises InputError: the file is damaged, no formula has parameters, or they are no numbers or out of range.
+    """
+    fits = read_object(path).get("fits")
+    if not isinstance(fits, list):
+        raise InputError(
+            path, "the file has no list `fits`", found=type(fits).__name__, accepted="fits: [{formula, …}]"
+        )
+    found = [one for fit in fits if isinstance(fit, dict) for one in _stated(path, fit)]
+    if not found:
+        raise InputError(path, "no formula has parameters", found=f"{len(fits)} fits", accepted="at least one")
+    best = min(found, key=lambda one: one.error)
+    others = ", ".join(one.words for one in found if one is not best)
+    words = f"{best.words}, weighted with V(λ) and D65{f'; not evaluated: {others}' if others else ''}"
+    return evaluated.table(best.evaluate, best.width, "photopic", words)
+
+
+class _Stated(NamedTuple):
+    """A formula of a file."""
+
+    words: str
+    error: float
+    """At the 95th percentile [1]"""
+    width: float
+    """Of the half vector [1]"""
+    evaluate: evaluated.Evaluate
+
+
+def _stated(path: Path, fit: dict[str, Any]) -> Iterator[_Stated]:
+    """The formula with one set of parameters, and with those by incidence, where the file has them."""
+    name = str(fit.get("formula"))[:40]
+    listed = evaluated.part(path, fit, "by_incidence")
+    if "parameters" in fit:
+        parameters, error = evaluated.part(path, fit, "parameters"), _percentile(path, fit)
+        if name in FORMULAS:
+            yield _of_scatter(path, name, {0.0: parameters}, error)
+        elif name in ("ggx", "beckmann"):
+            yield _of_distribution(path, name, parameters, error)
+    rows = listed.get("incidences")
+    if name in FORMULAS and isinstance(rows, list):
+        of_incidence = {
+            evaluated.number(path, row.get("theta_i"), "theta_i"): evaluated.part(path, row, "parameters")
+            for row in rows
+            if isinstance(row, dict) and "parameters" in row
+        }
+        if of_incidence:
+            yield _of_scatter(path, name, of_incidence, _percentile(path, listed))
+
+
+def _percentile(path: Path, values: dict[str, Any]) -> float:
+    """The error of a fit; the largest of a file that states none."""
+    return evaluated.number(path, evaluated.part(path, values, "error").get("percentile_95", 1e300), "percentile_95")
+
+
+def _of_scatter(path: Path, name: str, listed: dict[float, dict[str, Any]], error: float) -> _Stated:
+    formula, theta_i = FORMULAS[name], list(listed)
+    if not (all(0 <= one <= 90 for one in theta_i) and (np.diff(theta_i) > 0).all()):
+        found = ", ".join(f"{one:g}" for one in theta_i[:8])
+        raise InputError(path, f"the incidences of {name} do not increase", found=found, accepted="0 to 90 degree")
+    parameters = {
+        incidence: {key: _parameter(path, name, values, key) for key in (*formula.names, "L")}
+        for incidence, values in listed.items()
+    }
+    # Of the lobe about the mirror direction; the half vector turns half as far, or less far towards grazing incidence.
+    widths = [one[formula.names[1]] ** (1 / one["g"] if name == "abg" else 1) for one in parameters.values()]
+    several = f" by incidence ({len(listed)})" if len(listed) > 1 else ""
+    at = at_incidence(formula, parameters)
+    return _Stated(
+        f"{name}{several}, {formula.words}",
+        error,
+        float(np.clip(min(widths) / 4, 1e-4, 1.0)),
+        lambda theta_i, phi_i, theta_o, phi_o: at(theta_i, phi_i, theta_o, phi_o, None),
+    )
+
+
+def _of_distribution(path: Path, name: str, parameters: dict[str, Any], error: float) -> _Stated:
+    alpha, n, base = (_parameter(path, name, parameters, key) for key in ("alpha", "n", "L"))
+    if not (1 <= n <= evaluated.LARGEST_INDEX and alpha <= 1):
+        found = f"alpha {alpha:g}, n {n:g}"
+        raise InputError(path, f"parameters of {name} out of range", found=found, accepted="alpha to 1, n from 1 to 10")
+    material = Material(Lobe(name, max(alpha, 1e-3), dielectric(n)), np.full(3, base), by_albedo)
+    words = f"{name} facets of width {alpha:g} with index {n:g} over a Lambertian base of {base:g}"
+    return _Stated(words, error, max(alpha, 1e-3), lambda *at: material.evaluate(*at)[:, :1])
+
+
+def _parameter(path: Path, formula: str, parameters: dict[str, Any], key: str) -> float:
+    value = evaluated.number(path, parameters.get(key), f"{key} of {formula}")
+    high = 1.0 if key == "L" else _LARGEST_PARAMETER
+    if not 0 <= value <= high or (value == 0 and key != "L"):
+        raise InputError(
+            path, f"{key} of {formula} is out of range", found=f"{value:g}", accepted=f"above 0, to {high:g}"
+        )
+    return value
 
 
 def _digits(value: float) -> float:

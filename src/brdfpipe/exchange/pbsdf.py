@@ -27,6 +27,7 @@ from brdfpipe.geometry import Array, unit_vector
 FORMAT = Format(
     description="Mueller matrices at five wavelengths, for Mitsuba's plugin `measured_polarized`; not for surfaces with a lay",
     files={"reflection": {"write": (".pbsdf",)}},
+    refuses=("lay",),
     takes="cells",
     carries=("spectrum", "polarisation"),
     read="read",

@@ -69,6 +69,11 @@ def format_of(path: Path, name: str | None = None) -> Format:
         ends = any(file_name.endswith(Path(f"name{suffix}").suffix) for suffix in known.readable_suffixes)
         if ends and (not known.begins or any(word.encode() in beginning for word in known.begins)):
             matches.append(known)
+    # A format with a longer suffix of its own, such as .parameters.json.
+    lengths = [
+        max((len(one) for one in known.readable_suffixes if file_name.endswith(one)), default=0) for known in matches
+    ]
+    matches = [known for known, length in zip(matches, lengths, strict=True) if length == max(lengths)]
     if len(matches) == 1:
         return matches[0]
     accepted = ", ".join(known.name for known in matches) or _ACCEPTED

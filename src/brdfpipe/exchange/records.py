@@ -109,6 +109,11 @@ def sentences(record: Record, values: str = VALUES["reflection"]) -> list[str]:
 
 def statements(record: Mapping[str, Any]) -> list[str]:
     """The record in words, for a terminal."""
+    return [*errors_in_words(record), *(f"left out: {text}" for text in record.get("left_out", {}).values())]
+
+
+def errors_in_words(record: Mapping[str, Any]) -> list[str]:
+    """The errors that a record states."""
     errors = []
     for one in record.get("fits", []):
         for start, fit in ((one["formula"], one), (f"{one['formula']} by incidence", one.get("by_incidence", {}))):
@@ -116,10 +121,7 @@ def statements(record: Mapping[str, Any]) -> list[str]:
                 errors.append((f"{start}: ", fit["error"], fit.get("refused", "")))
     named = {"": "error", "light that passes: ": "error_of_transmission"}
     errors += [(start, record[key], "") for start, key in named.items() if isinstance(record.get(key), Mapping)]
-    return [
-        *(start + _stated(error, refused) for start, error, refused in errors),
-        *(f"left out: {text}" for text in record.get("left_out", {}).values()),
-    ]
+    return [start + _stated(error, refused) for start, error, refused in errors]
 
 
 def _stated(error: Mapping[str, Any], refused: str) -> str:

@@ -18,7 +18,7 @@ import ast
 import importlib
 import json
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field
 from numbers import Real
 from pathlib import Path
@@ -87,6 +87,10 @@ class Format:
     """Writers of small tables beside the others: they take no options and return no record"""
     carries: tuple[str, ...] = ()
     """What survives, of :data:`PROPERTIES`."""
+    refuses: tuple[str, ...] = ()
+    """What a BSDF must not have, of :data:`PROPERTIES`; what it has and the files do not carry is lost otherwise."""
+    longest_name: int = 0
+    """Of a file that the program reads, in characters; 0: any."""
     read: str = ""
     """Name of the function that reads the files; empty if none does."""
     reads: tuple[str, ...] = ()
@@ -119,6 +123,25 @@ class Format:
         ]
         return [*written, *self.reads]
 
+    def refusals(self, material: str, has: Collection[str], sides: Collection[str] = ("reflection",)) -> list[str]:
+        """Why no file of a material is written, as far as it is known without its BSDF; empty if nothing is.
+
+        Parameters
+        ----------
+        material : its name
+        has : what is known that it has, of :data:`PROPERTIES`
+        sides : of :attr:`files` that it has
+        """
+        reasons = [
+            f"the format does not take a material with {PROPERTIES[name]}" for name in self.refuses if name in has
+        ]
+        names = [
+            f"{material}{suffix}" for side in sides for group in self.files.get(side, {}).values() for suffix in group
+        ]
+        if self.longest_name and (long := [name for name in names if len(name) > self.longest_name]):
+            reasons.append(f"the program reads names of at most {self.longest_name} characters; found {len(long[0])}")
+        return reasons
+
     @property
     def has_record(self) -> bool:
         """Whether a record stands beside each file."""
@@ -133,15 +156,20 @@ class Format:
         ]
         return [*named, *(f"{suffix}{RECORD}" for suffix in recorded)]
 
-    def write(self, bsdf: xr.Dataset, stem: str | os.PathLike[str], side: str = "reflection", **keywords: Any) -> None:
+    def write(
+        self, bsdf: xr.Dataset, stem: str | os.PathLike[str], side: str = "reflection", **keywords: Any
+    ) -> dict[str, Mapping[str, Any]]:
         """Write all files of one side: ``stem`` and the suffixes of the format.
+
+        Returns the records of the writers that have one, by the name of their first file.
 
         Raises
         ------
         ExchangeError : the format cannot hold such a BSDF, or it has no such option.
         """
-        for writer, suffixes in self.files[side].items():
-            self.run(writer, bsdf, f"{stem}{suffixes[0]}", keywords)
+        paths = {writer: f"{stem}{suffixes[0]}" for writer, suffixes in self.files[side].items()}
+        records = {Path(path).name: self.run(writer, bsdf, path, keywords) for writer, path in paths.items()}
+        return {name: record for name, record in records.items() if record}
 
     def run(
         self, writer: str, bsdf: xr.Dataset, path: str | os.PathLike[str], keywords: Mapping[str, Any]

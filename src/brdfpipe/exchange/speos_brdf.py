@@ -22,6 +22,7 @@ from brdfpipe.geometry import Array
 FORMAT = Format(
     description="a table about the normal for each wavelength, for Ansys Speos; not for surfaces with a lay",
     files={"reflection": {"write": (".brdf",)}},
+    refuses=("lay",),
     takes="grid",
     carries=("spectrum",),
     options={"spectral": False},

@@ -63,6 +63,19 @@ def layer(path: Path) -> Element:
 
     Raises InputError: the file is too large, damaged, has entities, or is of another kind.
     """
+    root = parsed(path, "a WindowElement")
+    layers = root.findall("{*}Optical/{*}Layer")
+    if root.tag.rpartition("}")[2] != "WindowElement" or len(layers) != 1:
+        found = f"{root.tag[-40:]} with {len(layers)} layers"
+        raise InputError(path, "not a BSDF of one layer", found=found, accepted="a WindowElement with one Layer")
+    return layers[0]
+
+
+def parsed(path: Path, accepted: str) -> Element:
+    """The root of a document; ``accepted`` is what it should be, for messages.
+
+    Raises InputError: the file is too large, damaged, or has a document type or entities.
+    """
     from xml.etree.ElementTree import ParseError
 
     from defusedxml import DefusedXmlException
@@ -76,14 +89,10 @@ def layer(path: Path) -> Element:
         # Some writers put a line of their own before the document.
         root: Element = fromstring(content[max(content.find(b"<?xml"), 0) :], forbid_dtd=True)
     except DefusedXmlException as error:
-        raise InputError(path, "XML with a document type or entities", accepted="a plain WindowElement") from error
+        raise InputError(path, "XML with a document type or entities", accepted=f"{accepted} without them") from error
     except (ParseError, RecursionError, ValueError, LookupError) as error:
-        raise InputError(path, "damaged XML", found=str(error)[:80], accepted="a WindowElement") from error
-    layers = root.findall("{*}Optical/{*}Layer")
-    if root.tag.rpartition("}")[2] != "WindowElement" or len(layers) != 1:
-        found = f"{root.tag[-40:]} with {len(layers)} layers"
-        raise InputError(path, "not a BSDF of one layer", found=found, accepted="a WindowElement with one Layer")
-    return layers[0]
+        raise InputError(path, "damaged XML", found=str(error)[:80], accepted=accepted) from error
+    return root
 
 
 def text(element: Element, place: str) -> str:

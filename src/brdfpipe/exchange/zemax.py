@@ -34,14 +34,13 @@ FORMAT = Format(
         "transmission": {"write_transmission": (".transmission.zemax.bsdf",)},
     },
     takes="grid",
+    longest_name=60,
     carries=("transmission", "lay", "colour"),
     options={"colour": False},
     read="read",
     begins=("\nSource",),
 )
 
-_LONGEST_NAME = 60
-"""Characters of a file's name that OpticStudio reads."""
 _BLOCKS = {"monochrome": ("Monochrome",), "xyz": ("TristimulusX", "TristimulusY", "TristimulusZ")}
 _SIDES = {"brdf": "reflection", "btdf": "transmission"}
 _MOST_CELLS = 20_000_000
@@ -70,9 +69,9 @@ def write_transmission(bsdf: xr.Dataset, path: Path, *, colour: bool = False, **
 
 
 def _write(bsdf: xr.Dataset, path: Path, side: Side, colour: bool, grid: Mapping[str, Any]) -> records.Record:
-    if len(path.name) > _LONGEST_NAME:
+    if len(path.name) > FORMAT.longest_name:
         raise ExchangeError(
-            f"{path.name}: OpticStudio reads names of at most {_LONGEST_NAME} characters; found {len(path.name)}"
+            f"{path.name}: OpticStudio reads names of at most {FORMAT.longest_name} characters; found {len(path.name)}"
         )
     seen = gridded.side_of(bsdf, side, path)
     channels = gridded.tristimulus(seen) if colour else gridded.photopic(seen)

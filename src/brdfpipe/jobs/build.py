@@ -88,11 +88,11 @@ def build(
     built_materials = [name for name in catalogue.by_name if name in selected and name not in failed_materials]
     folders = {name: results / catalogue.scene_of(name).folder / name for name in built_materials}
     if names and not dry_run:
-        verdicts = summary.read_own_verdicts({name: path / "summary.nc" for name, path in folders.items()})
+        rows = summary.read_own_rows({name: path / "summary.nc" for name, path in folders.items()})
     else:
         tables = [] if dry_run else [results / one.folder for one in catalogue.scenes]
-        verdicts = summary.read_verdicts(tables, built_materials)
-    pages = {name: folders[name] / "report.html" for name in verdicts}
+        rows = summary.read_rows(tables, built_materials)
+    pages = {name: folders[name] / "report.html" for name in rows}
     notices = summary.notices(catalogue.folder, deleted, replaced, stale)
     of_scenes = scene_notices(catalogue.scenes, catalogue.config)
     over_budget = () if dry_run else tuple(budgets.exceeded(results, catalogue, built_materials))
@@ -109,8 +109,9 @@ def build(
         page=page if dry_run or page.exists() else None,
         seconds=time.perf_counter() - started,
         dry_run=dry_run,
-        verdicts={name: verdict for name, (verdict, _) in verdicts.items()},
-        fail_reasons={name: reasons for name, (verdict, reasons) in verdicts.items() if verdict == "fail"},
+        verdicts={name: row.verdict for name, row in rows.items() if row.verdict},
+        fail_reasons={name: row.reasons for name, row in rows.items() if row.verdict == "fail"},
+        refused_exports={name: row.refused_exports for name, row in rows.items() if row.refused_exports},
         pages={name: page for name, page in pages.items() if page.exists()},
         over_budget=over_budget,
         notices=(*of_scenes, *notices),

@@ -341,7 +341,7 @@ class Pipeline:
         if outcome.error:
             raise pool.StageError(f"{job.description}: {outcome.error}")
         if index.inputs(inputs) == read:  # a file that changed meanwhile is read again by the next build
-            beside = _files_below(Path(outputs[0]).parent) if stage.fills_folder else []
+            beside = _files_below(Path(outputs[0]).parent) if stage.fills_folder else _present(stage, wildcards)
             index.finish(digest_of(params.spec), self._code[rule], read, list(dict.fromkeys([*outputs, *beside])))
 
     def _as_planned(self, files: Any) -> Any:
@@ -424,6 +424,11 @@ def _function_of(item: Any) -> InputFunction | None:
 def _flagged(item: Any) -> Any:
     """Snakemake's object with the flags of an input, which other objects may hold."""
     return getattr(item, "_file", item)
+
+
+def _present(stage: Stage, wildcards: Any) -> list[str]:
+    """The files that a job wrote beside its result."""
+    return [path for pattern in stage.beside if Path(path := pattern.format(**wildcards)).is_file()]
 
 
 def _files_below(folder: Path) -> list[str]:

@@ -8,7 +8,7 @@ from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from brdfpipe.catalogue.catalogue import ignored
 from brdfpipe.errors import BrdfpipeError
@@ -16,6 +16,8 @@ from brdfpipe.jobs.cleanup import STALE
 from brdfpipe.store import opened
 
 _BAD_VERDICTS = {"warn": ("warn", "fail"), "fail": ("fail",)}
+
+_COLUMNS = ("verdict", "verdict_text", "refused_exports")
 
 _LISTED = 5
 """Names in a notice."""
@@ -42,6 +44,8 @@ class Summary:
     """Built material with the verdict fail → the checks and conditions of the model that failed, with their findings, in one line."""
     pages: Mapping[str, Path] = field(default_factory=dict)
     """Material → its page, where it has one."""
+    refused_exports: Mapping[str, str] = field(default_factory=dict)
+    """Built material → why formats of other programs were not written, in one line; without those that were."""
     over_budget: tuple[tuple[str, str], ...] = ()
     """(built material, what it took and the budget of its scene), one for each budget that is exceeded."""
     notices: tuple[str, ...] = ()
@@ -56,7 +60,7 @@ class Summary:
         }
 
     def has_failed(self, conditions: Collection[str] = ()) -> bool:
-        """Whether a material was not built, or meets one of the conditions.
+        """Whether a material was not built, an export was refused, or a material meets one of the conditions.
 
         Parameters
         ----------
@@ -64,7 +68,8 @@ class Summary:
         """
         worst = {verdict for word, verdicts in _BAD_VERDICTS.items() if word in conditions for verdict in verdicts}
         over_budget = "budget" in conditions and bool(self.over_budget)
-        return bool(self.failures) or over_budget or not worst.isdisjoint(self.verdicts.values())
+        incomplete = bool(self.failures or self.refused_exports)
+        return incomplete or over_budget or not worst.isdisjoint(self.verdicts.values())
 
     @property
     def text(self) -> str:
@@ -84,6 +89,7 @@ class Summary:
             [
                 counts,
                 *not_built,
+                *(f"  {name}: built, but {reason}" for name, reason in sorted(self.refused_exports.items())),
                 *self._verdict_lines,
                 *over_budget,
                 *self.notices,
@@ -105,27 +111,37 @@ class Summary:
         ]
 
 
-def read_verdicts(folders: Iterable[Path], names: Iterable[str]) -> dict[str, tuple[str, str]]:
-    """Material → verdict and its reasons in one line, from the tables of the catalogues in some folders; empty where there is none."""
+class Row(NamedTuple):
+    """What the summary says of a built material."""
+
+    verdict: str
+    reasons: str
+    """Of the verdict, in one line."""
+    refused_exports: str
+    """Why formats of other programs were not written, in one line; empty where all were."""
+
+
+def read_rows(folders: Iterable[Path], names: Iterable[str]) -> dict[str, Row]:
+    """The rows of materials, from the tables of the catalogues in some folders; without materials that have none."""
     found: dict[str | None, Mapping[str, str]] = {}
     for folder in folders:
         with suppress(OSError), (folder / "catalogue.csv").open(encoding="utf-8", newline="") as table:
             found |= {row.get("material"): row for row in csv.DictReader(table)}
     return {
-        name: (verdict, found[name].get("verdict_text") or "")
+        name: Row(*(found[name].get(column) or "" for column in _COLUMNS))
         for name in names
-        if (verdict := found.get(name, {}).get("verdict"))
+        if found.get(name, {}).get("status") == "built"
     }
 
 
-def read_own_verdicts(rows: Mapping[str, Path]) -> dict[str, tuple[str, str]]:
+def read_own_rows(rows: Mapping[str, Path]) -> dict[str, Row]:
     """The same from the row of each material, name → its dataset: after a build of some materials the tables are of an earlier one."""
     found = {}
     for name, path in rows.items():
         with suppress(BrdfpipeError), opened({name: path}) as datasets:
             row = datasets[name].isel(material=0)
-            found[name] = str(row["verdict"].values), str(row["verdict_text"].values)
-    return {name: verdict for name, verdict in found.items() if verdict[0]}
+            found[name] = Row(*(str(row[column].values) for column in _COLUMNS))
+    return found
 
 
 def notices(folder: Path, deleted: Sequence[str], replaced: Sequence[str], stale: Sequence[str]) -> Iterator[str]:

@@ -4,6 +4,7 @@ import base64
 import io
 import json
 import re
+from collections.abc import Iterable, Mapping
 from html.parser import HTMLParser
 from itertools import combinations
 from xml.etree import ElementTree
@@ -17,7 +18,7 @@ from PIL import Image
 from brdfpipe import flakes, optics, vocabulary
 from brdfpipe.appearance import compute_appearance
 from brdfpipe.appearance.verdicts import overall, stage_warnings, verdicts
-from brdfpipe.bsdf import flake, microfacet, slab
+from brdfpipe.bsdf import flake, microfacet
 from brdfpipe.exchange.registry import FORMATS, Format
 from brdfpipe.facets import analytic, flat
 from brdfpipe.report import material_page
@@ -184,12 +185,25 @@ def test_any_two_datasets_may_be_absent(full: Datasets) -> None:
 
 
 @pytest.mark.usefixtures("without_bsdf_figures")
-def test_every_exported_file_is_listed_as_its_format_declares_it(
+def test_every_exported_file_is_listed_with_its_error_and_every_refused_one_with_its_reason(
     full: Datasets, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     toy = Format("rays that <toys> read", {"reflection": {"write": (".toy", ".toy.csv")}}, name="toy")
     monkeypatch.setitem(FORMATS, "toy", toy)
-    html = material_page(full, exports=["astm", "toy"])
+    error = {"percentile_95": 0.0123, "albedo": 0.001}
+    record = {"error": error, "left_out": {"polarisation": "of unpolarised light"}}
+    astm_export = _export("astm", FORMATS["astm"].suffixes("reflection"), record)
+    refused = _export("gltf", [], {}).assign_attrs(warnings='["export gltf not written: the surface has a <lay>"]')
+    exports = {
+        "export_astm": astm_export,
+        "export_toy": _export("toy", [".toy", ".toy.csv"], {}),
+        "export_gltf": refused,
+    }
+    html = material_page(full | exports)
+    assert "1.23% at the 95th percentile" in html
+    assert (
+        html.count("export gltf not written: the surface has a &lt;lay&gt;") == 2
+    )  # in the table and among the warnings
     rows = re.findall(r'<th scope="row">(abs-grain\.[^<]*)</th><td>reflection</td><td class="words">([^<]*)</td>', html)
     astm = ", ".join(f"abs-grain{suffix}" for suffix in FORMATS["astm"].suffixes("reflection"))
     assert rows == [
@@ -201,13 +215,11 @@ def test_every_exported_file_is_listed_as_its_format_declares_it(
     assert "Exported files" not in material_page({"spectrum": full["spectrum"]})
 
 
-@pytest.mark.usefixtures("without_bsdf_figures")
-def test_files_of_both_sides_of_a_sheet_are_listed() -> None:
-    sheet = slab.build(flat(), flat(), index=1.5).assign_attrs(material="sheet")
-    html = material_page({"bsdf": sheet}, exports=["astm"])
-    for side in ("reflection", "transmission"):
-        files = ", ".join(f"sheet{suffix}" for suffix in FORMATS["astm"].suffixes(side))
-        assert f'<th scope="row">{files}</th><td>{side}</td>' in html
+def _export(format: str, suffixes: Iterable[str], record: Mapping[str, object]) -> xr.Dataset:
+    files = {f"abs-grain{suffix}": "0" for suffix in suffixes}
+    records = dict.fromkeys(list(files)[:1], record)
+    attributes = {"format": format, "side": "reflection", "files": json.dumps(files), "records": json.dumps(records)}
+    return xr.Dataset(attrs={"kind": "export", "material": "abs-grain", **attributes})
 
 
 def test_the_limits_of_a_material_known_only_by_its_colour_name_the_finish(full: Datasets) -> None:

@@ -14,7 +14,7 @@ from scipy.optimize import least_squares
 
 from brdfpipe.bsdf.nonspectral import nonspectral
 from brdfpipe.bsdf.registry import representation
-from brdfpipe.bsdf.table_error import Pairs, errors_at, fresh_pairs, fresh_pairs_at
+from brdfpipe.bsdf.table_error import Evaluate, Pairs, errors_at, fresh_pairs, fresh_pairs_at
 from brdfpipe.exchange.fits.fitting import INCIDENCES, LEAST_REFLECTANCE, delta_e_of_greys, reflected_light
 from brdfpipe.geometry import Array
 
@@ -144,29 +144,13 @@ def error_by_incidence(
     theta_i : the incidence of the error; see :func:`fit_formula`
     """
     formula, reduced = FORMULAS[name], nonspectral(bsdf)
-    known = np.cos(np.radians(list(parameters)))[::-1]
-
-    def at(theta_i: Array) -> tuple[tuple[Array, Array, Array], Array]:
-        """The parameters of the lobe and the reflectance of the base, each in the shape of ``theta_i``."""
-        cosine = np.cos(np.radians(theta_i))
-        scale, width, exponent, base = (
-            np.interp(cosine, known, [one[key] for one in parameters.values()][::-1]) for key in (*formula.names, "L")
-        )
-        return (scale, width, exponent), base
-
-    def evaluate(theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array, _: Array | None) -> Array:
-        cosines = np.cos(np.radians(theta_i)), np.cos(np.radians(theta_o))
-        lobe, base = at(theta_i)
-        return np.asarray(formula.lobe(distance(Pairs(theta_i, phi_i, theta_o, phi_o)), *cosines, lobe) + base / np.pi)[
-            :, None
-        ]
-
+    evaluate = at_incidence(formula, parameters)
     incidences = INCIDENCES if theta_i is None else np.array([theta_i])
     fresh = fresh_pairs(reduced, _COMPARED) if theta_i is None else fresh_pairs_at(reduced, incidences, _COMPARED)
     errors = errors_at(reduced, evaluate, fresh.chosen(fresh.theta_o < 90))
     model, plane = representation(reduced), np.zeros_like(incidences)
     scattered = (model.albedo(incidences, plane, None) - model.specular(incidences, plane, None)[0])[:, 0]
-    lobe, base = at(incidences)
+    lobe, base = _interpolated(formula, parameters, incidences)
     off = np.abs(reflectance_of(formula, lobe, incidences) + base - scattered)
     return ScatterError(
         float(np.median(errors)),
@@ -176,6 +160,29 @@ def error_by_incidence(
         delta_e_of_greys(reduced, evaluate) if theta_i is None else None,
         errors.size,
     )
+
+
+def at_incidence(formula: Formula, parameters: Mapping[float, Mapping[str, float]]) -> Evaluate:
+    """The BRDF of a formula with parameters by incidence, see :func:`error_by_incidence`."""
+
+    def evaluate(theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array, _: Array | None) -> Array:
+        cosines = np.cos(np.radians(theta_i)), np.cos(np.radians(theta_o))
+        lobe, base = _interpolated(formula, parameters, theta_i)
+        x = distance(Pairs(theta_i, phi_i, theta_o, phi_o))
+        return np.asarray(formula.lobe(x, *cosines, lobe) + base / np.pi)[:, None]
+
+    return evaluate
+
+
+def _interpolated(
+    formula: Formula, parameters: Mapping[float, Mapping[str, float]], theta_i: Array
+) -> tuple[tuple[Array, Array, Array], Array]:
+    """The parameters of the lobe and the reflectance of the base, each in the shape of ``theta_i``."""
+    cosine, known = np.cos(np.radians(theta_i)), np.cos(np.radians(list(parameters)))[::-1]
+    scale, width, exponent, base = (
+        np.interp(cosine, known, [one[key] for one in parameters.values()][::-1]) for key in (*formula.names, "L")
+    )
+    return (scale, width, exponent), base
 
 
 def _least_squares(formula: Formula, pairs: Pairs, values: Array) -> tuple[float, float, float, float]:

@@ -16,7 +16,7 @@ import xarray as xr
 from brdfpipe import vocabulary
 from brdfpipe.appearance.origin import basis, route, uncertainty_not_stated
 from brdfpipe.appearance.quantities import AppearanceQuantity, applicabilities, quantities, quantities_on_request
-from brdfpipe.appearance.verdicts import Acceptances, overall, reason_to_accept, stage_warnings
+from brdfpipe.appearance.verdicts import Acceptances, overall, reason_to_accept, refused_exports, stage_warnings
 from brdfpipe.errors import VocabularyError
 from brdfpipe.report.catalogue.cuts import INCIDENCES, OFFSETS, lobe_cut
 from brdfpipe.report.formatting import colour
@@ -43,6 +43,7 @@ def text_columns() -> dict[str, str]:
         "verdict_text": "what those checks found, or the warnings of those stages",
         **reasons,
         "uncertainty_not_stated": "inputs that the uncertainties leave out, because theirs is not known; empty where there are none",
+        "refused_exports": "why formats of other programs were not written; empty where all were",
         "thumbnail": "small picture, a data URI; empty without a preview",
         "digests": "JSON: stage to digest of its dataset",
         "description": "description of the material by its user",
@@ -77,6 +78,7 @@ def summarise(datasets: Mapping[str, xr.Dataset], *, description: str = "", acce
         **_verdict_texts(known, accepted),
         **{f"no_{applicability.name}": applicability.exclusion(known) for applicability in applicabilities()},
         "uncertainty_not_stated": uncertainty_not_stated(known),
+        "refused_exports": "; ".join(refused_exports(known, accepted)),
         "thumbnail": thumbnail(known["preview"]) if "preview" in known else "",
         "digests": json.dumps(digests, sort_keys=True),
         "description": description,
@@ -215,7 +217,8 @@ def catalogue_csv(catalogue: xr.Dataset, failures: Mapping[str, Mapping[str, str
     columns["uncertainty_not_stated"] = texts(catalogue, "uncertainty_not_stated")
     columns["srgb"] = [colour(channels) or "" for channels in catalogue["srgb"].values]
     columns["description"] = texts(catalogue, "description")
-    later = {column for one in quantities() if one.appended for column in (one.name, one.u_name)}
+    columns["refused_exports"] = texts(catalogue, "refused_exports")
+    later = {"refused_exports"} | {column for one in quantities() if one.appended for column in (one.name, one.u_name)}
     rows = [{"status": "built", **dict(zip(columns, row, strict=True))} for row in zip(*columns.values(), strict=True)]
     rows += [{"material": name, "status": "failed", **failure} for name, failure in failures.items()]
     header = ["material", "status", *list(columns)[1:], "stage", "message"]

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import xarray as xr
 
+from brdfpipe import vocabulary
 from brdfpipe.appearance.verdicts import check_verdicts, json_object
-from brdfpipe.bsdf.registry import representation
-from brdfpipe.exchange.records import Content, left_out
-from brdfpipe.exchange.registry import FORMATS, PROPERTIES, Format
+from brdfpipe.exchange.records import errors_in_words
+from brdfpipe.exchange.registry import FORMATS, PROPERTIES
 from brdfpipe.report.cards import Section, Table
 from brdfpipe.report.formatting import quantity
 
@@ -36,34 +36,40 @@ def checks_section(datasets: Mapping[str, xr.Dataset]) -> Section:
     return section
 
 
-def exports_table(datasets: Mapping[str, xr.Dataset], name: str, formats: Collection[str]) -> Table | None:
-    """The exported files of a material, described as their formats declare them; None where there are none."""
-    bsdf = datasets.get("bsdf")
-    sides = ("reflection", "transmission") if bsdf is not None and representation(bsdf).is_slab else ("reflection",)
-    rows = [
-        (
-            ", ".join(f"{name}{suffix}" for suffix in FORMATS[format].suffixes(side)),
-            side,
-            FORMATS[format].description,
-            "" if bsdf is None else _left_out(bsdf, FORMATS[format]),
-        )
-        for format in formats
-        for side in sides
-        if side in FORMATS[format].files
-    ]
+def exports_table(datasets: Mapping[str, xr.Dataset], name: str) -> Table | None:
+    """The exported files of a material with their errors, and the exports that were refused; None where there are none."""
+    rows = [_exported(dataset) for dataset in datasets.values() if dataset.attrs.get("kind") == "export"]
     if "lambert_gauss" in datasets:
-        rows.append((f"{name}.lambert_gauss.csv", "reflection", "parameters of the Lambert + Gauss fit", ""))
+        description = "parameters of the Lambert + Gauss fit"
+        rows.append((f"{name}.lambert_gauss.csv", "reflection", description, "", ""))
     if "readings" in datasets:
-        rows.append((f"{name}.readings.csv", "", "readings of instruments beside their predictions", ""))
-    note = "In the folder `exports`. A `.json` beside a file states the error of the file against the BSDF."
-    return Table("Exported files", ("Files", "Side", "Description", "Not in the file"), rows, note) if rows else None
+        rows.append((f"{name}.readings.csv", "", "readings of instruments beside their predictions", "", ""))
+    note = "In the folder `exports`. A `.json` beside a file states the error of the file against the BSDF, measured off its nodes."
+    headings = "Files", "Side", "Description", "Error", "Not in the file"
+    return Table("Exported files", headings, rows, note) if rows else None
 
 
-def _left_out(bsdf: xr.Dataset, format: Format) -> str:
-    """What the BSDF has and files of the format, with its default options, do not hold."""
-    has_spectrum = "spectrum" in format.carries and not format.spectral
-    content: Content = "spectrum" if has_spectrum else "luminous"
-    return "; ".join(PROPERTIES[name] for name in left_out(bsdf, format, content))
+def exported_files(datasets: Mapping[str, xr.Dataset], name: str) -> list[str]:
+    """Names of the exported files, from the folder of the page."""
+    files = [file for dataset in datasets.values() for file in json_object(dataset.attrs.get("files"))]
+    named = {"lambert_gauss": "lambert_gauss.csv", "readings": "readings.csv"}
+    files += [f"{name}.{suffix}" for stage, suffix in named.items() if stage in datasets]
+    return [f"exports/{file}" for file in files]
+
+
+def _exported(dataset: xr.Dataset) -> tuple[str, ...]:
+    """Files, side, description, error, and what the files leave out."""
+    format, side = str(dataset.attrs["format"]), str(dataset.attrs["side"])
+    described = FORMATS[format].description if format in FORMATS else format
+    if refusals := vocabulary.warnings(dataset):
+        return f"{format}: none", side, described, refusals[0], ""
+    named = json_object(dataset.attrs["records"])
+    errors = {file: "; ".join(errors_in_words(record)) for file, record in named.items()}
+    if len(set(errors.values())) > 1:
+        errors = {file: f"{file}: {text}" for file, text in errors.items()}
+    stated = "; ".join(dict.fromkeys(errors.values()))
+    lost = dict.fromkeys(PROPERTIES[key] for record in named.values() for key in record.get("left_out", {}))
+    return ", ".join(json_object(dataset.attrs["files"])), side, described, stated, "; ".join(lost)
 
 
 def provenance(stage: str, dataset: xr.Dataset) -> dict[str, Any]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 
 import numpy as np
@@ -23,7 +23,7 @@ from brdfpipe.appearance.verdicts import (
 from brdfpipe.report import comparison, rendering, structured_data
 from brdfpipe.report.cards import Section, Table
 from brdfpipe.report.formatting import colour
-from brdfpipe.report.material.checks import checks_section, exports_table, provenance
+from brdfpipe.report.material.checks import checks_section, exported_files, exports_table, provenance
 from brdfpipe.report.material.colour import colour_section
 from brdfpipe.report.material.head import key_numbers, picture
 from brdfpipe.report.material.inputs import (
@@ -47,7 +47,6 @@ def material_page(
     datasets: Mapping[str, xr.Dataset],
     *,
     description: str = "",
-    exports: Collection[str] = (),
     accepted: Acceptances = (),
     unused: Mapping[str, str] = MappingProxyType({}),
     origins: Sequence[Sequence[str]] = (),
@@ -58,7 +57,6 @@ def material_page(
     ----------
     datasets : stage → its dataset, in the order of the page; any may be absent
     description : of the material, by its user; untrusted, shown as text
-    exports : names of the formats in :data:`brdfpipe.exchange.registry.FORMATS` in which the material was exported
     accepted : warnings that the description accepts
     unused : keys of the description that nothing uses, and why
     origins : key, value and origin of all that the description says, inherits or leaves to defaults
@@ -74,7 +72,7 @@ def material_page(
     facts = list(key_numbers(known))
     conditions = [] if measured else validity(known)
     verdict, reasons = overall(known, accepted)
-    exported = exports_table(known, material_name(known), exports)
+    exported = exports_table(known, material_name(known))
     inputs = [
         effect_pigment_section(known),
         surface_section(known),
@@ -97,7 +95,7 @@ def material_page(
     prediction = [spectrum_section(known), *inputs] if measured else []
     name = material_name(known)
     technique = f"{route(known).capitalize()} from {basis(known) or 'no data'}"
-    files = [f"exports/{file}" for row in exported.rows for file in row[0].split(", ")] if exported else []
+    files = exported_files(known, name)
     directional = viewer_data(known)
     script, script_hash = rendering.script("uPlot.js", "viewer.js") if directional else ("", "")
     return render(
