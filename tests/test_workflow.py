@@ -65,7 +65,7 @@ def test_every_dataset_has_its_material_stage_and_digest(built: tuple[Path, Path
         dataset = store.verify_digest(store.open_dataset(path), path.name)
         assert dataset.attrs["material"] == path.parent.name
         assert dataset.attrs["stage"] == path.stem
-    assert len(paths) == 17 + 9 + 9 + 17
+    assert len(paths) == 17 + 9 + 10 + 17
 
 
 def test_the_lock_lists_every_dataset(built: tuple[Path, Path]) -> None:
