@@ -204,10 +204,11 @@ def _is_flattened(change: xr.DataArray, mean: xr.DataArray) -> bool:
 
 def _with_variables(dataset: xr.Dataset, variables: Mapping[str, xr.Variable]) -> xr.Dataset:
     """The dataset with other values of some variables; those that it has keep their dimensions and attributes."""
-    # Its own variables are replaced one by one: `assign` would compare all coordinates, which takes ten times as long.
+    # The values of its own variables are replaced one by one: `assign` would compare all coordinates, which takes ten times as long.
     own = {name: variable for name, variable in variables.items() if name in dataset.data_vars}
-    data = {name: own.get(str(name), dataset.variables[name]).data for name in dataset.data_vars}
-    changed = dataset.copy(data=data)
+    changed = dataset.copy()
+    for name, variable in own.items():
+        changed.variables[name].data = variable.data
     return changed if len(own) == len(variables) else changed.assign(variables)
 
 

@@ -76,6 +76,8 @@ class _Line(NamedTuple):
     """(lines,) coordinate of the pair of directions"""
     scale: Array
     """(lines, points) BSDF to which errors are relative [sr-1]"""
+    running: Array
+    """(points,) integral of the density of nodes over the axis, from 0 to 1"""
 
 
 def choose_nodes(
@@ -208,7 +210,8 @@ def _line(bsdf: xr.Dataset, grid: Grid, name: str, pairs: Pairs) -> _Line:
     theta_i, phi_i, theta_o, phi_o = np.broadcast_arrays(*grid.directions(coordinates))
     theta_i, theta_o = np.minimum(theta_i, 89.9), np.where(model.transmits, theta_o, np.minimum(theta_o, 89.9))
     values = model.evaluate(theta_i, phi_i, theta_o, phi_o, None)[..., 0]
-    return _Line(at, values, wanted, np.maximum(values, FLOOR / np.abs(np.cos(np.radians(theta_o)))))
+    scale = np.maximum(values, FLOOR / np.abs(np.cos(np.radians(theta_o))))
+    return _Line(at, values, wanted, scale, _running_density(at, values, scale))
 
 
 def _fine(name: str, symmetric: bool, transmits: bool) -> Array:
@@ -231,22 +234,21 @@ def _size(axes: Mapping[str, Array]) -> int:
 
 def _nodes(line: _Line, tolerance: float) -> Array:
     """The fewest nodes whose interpolation along the axis errs by at most the tolerance at 95 % of the lines."""
-    running = _running_density(line)
     count = _FEWEST_NODES
     while count < _MOST_NODES:
-        nodes = np.interp(np.linspace(0.0, 1.0, count), running, line.at)
+        nodes = np.interp(np.linspace(0.0, 1.0, count), line.running, line.at)
         if _percentile(line, nodes) <= tolerance:
             break
         count = max(count + 1, int(1.1 * count))
     return np.unique(np.round(nodes, 3))
 
 
-def _running_density(line: _Line) -> Array:
-    """Integral over the axis of the density of nodes, from 0 to 1."""
-    step = np.diff(line.at)
-    slope = np.diff(line.values, axis=1) / step
+def _running_density(at: Array, values: Array, scale: Array) -> Array:
+    """Integral over an axis of the density of nodes, from 0 to 1, (points,)."""
+    step = np.diff(at)
+    slope = np.diff(values, axis=1) / step
     curvature = np.abs(np.diff(slope, axis=1)) / ((step[1:] + step[:-1]) / 2)
-    density = np.sqrt(np.quantile(curvature / line.scale[:, 1:-1], 0.9, axis=0))
+    density = np.sqrt(np.quantile(curvature / scale[:, 1:-1], 0.9, axis=0))
     density = np.concatenate([density[:1], density, density[-1:]])
     panel = (density[1:] + density[:-1]) / 2 * step
     # A tenth of the nodes are spread evenly, so that nothing between them is left out.
