@@ -183,6 +183,8 @@ UNKNOWN = {
 
 CONFIGURATION = """\
 preview: false
+gloss_angles: [60]
+appearance: {haze: []}
 table: {theta_i: [0, 45], theta_o: [0, 30, 45, 60], phi_o: [0, 90, 180], refine: false}
 lambert_gauss: {theta_i: [0, 45]}
 """

@@ -37,6 +37,9 @@ MATERIALS = {
 }
 
 
+EXPORTED = ("frosted", "polished")
+"""Materials whose files for other programs the fast tests read; the choice of a grid takes a third of a build."""
+
 PHOTONS = 100_000
 
 
@@ -55,10 +58,12 @@ def results(made_once: Callable[[str, Callable[[Path], None]], Path], request: p
 
 
 def build_finishes(base: Path, slow: bool) -> None:
-    """With pictures, and with waves of the lay, in the slow tests alone."""
+    """With pictures, files of all materials, and waves of the lay, in the slow tests alone."""
     for name, text in MATERIALS.items():
         (base / "catalogue" / name).mkdir(parents=True)
-        (base / "catalogue" / name / "material.yaml").write_text(text.replace("OPTICS", "auto" if slow else "facets"))
+        text = text.replace("OPTICS", "auto" if slow else "facets")
+        text += "" if slow or name in EXPORTED else "exports: []\n"
+        (base / "catalogue" / name / "material.yaml").write_text(text)
     np.save(base / "catalogue" / "brushed" / "h.npy", _brushed())
     np.save(base / "catalogue" / "film" / "h.npy", samples.gaussian_surface(160, correlation=6)["height"].values)
     _, at_8, _ = lacquer_tracer().trace(8.0, PHOTONS)
@@ -126,9 +131,14 @@ def test_a_brushed_material_keeps_its_lay_to_the_last_file(results: Path) -> Non
     # With waves, a good part of the gloss at 85° is coherent light (g = 2.4), which has no lay.
     assert float(computed["gloss_along"][2]) > 1.3 * float(computed["gloss_across"][2])
     assert "phi_i" in grid_for(opened(results, "brushed", "bsdf"), GRID)
-    assert "NOT isotropic" in (results / "brushed" / "exports" / "brushed.astm").read_text()
     fits = pd.read_csv(results / "brushed" / "exports" / "brushed.lambert_gauss.csv", comment="#")
     assert fits["phi_i_deg"].nunique() == 4
+
+
+@pytest.mark.slow
+def test_the_file_of_a_brushed_material_has_a_lay(results: Path) -> None:
+    """Of one that no build wrote: tests/exchange/test_astm.py."""
+    assert "NOT isotropic" in (results / "brushed" / "exports" / "brushed.astm").read_text()
 
 
 def test_a_metal_is_opaque_and_bright(results: Path) -> None:

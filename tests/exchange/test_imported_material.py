@@ -25,7 +25,11 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
     exchange.write(red, target, tolerance=0.05, albedo_tolerance=0.02, colour=True)
     text = target.rename(target.with_name("grain.bsdf")).read_text()
     (folder / "catalogue" / "damaged" / "grain.bsdf").write_text(text[: len(text) // 2])
-    summary = build(folder / "catalogue", folder / "results", cores=1)
+    settings = folder / "settings.yaml"
+    settings.write_text(
+        "preview: false\nlambert_gauss: {theta_i: [0, 45]}\nappearance: {haze: []}\n"
+    )  # no test reads them
+    summary = build(folder / "catalogue", folder / "results", cores=1, config=settings)
     assert list(summary.failures) == ["damaged"]
     return folder / "results"
 
