@@ -35,3 +35,12 @@ def test_a_bsdf_that_is_evaluated_has_its_values_and_no_changes(tmp_path):
         bsdf = datasets["bsdf"]
     assert DIMENSION not in bsdf.dims
     xr.testing.assert_identical(bsdf.drop_attrs(), store.open_dataset(path).drop_dims(DIMENSION).drop_attrs())
+
+
+def test_links_of_a_page_lead_from_its_folder_to_the_datasets():
+    files = {"appearance": "scenes/g/a b/appearance.nc", "reduced": ["a b/reduced-10.nc", "a b/reduced-60.nc"]}
+    assert reading.relative(files, to="scenes/g/a b/report.html") == {
+        "appearance": "appearance.nc",
+        "reduced-10": "../../../a b/reduced-10.nc",
+        "reduced-60": "../../../a b/reduced-60.nc",
+    }

@@ -8,7 +8,8 @@ def main(input, output, params):
     """The page of a material."""
     spec = params["spec"]
     with reading.opened(dict(input.items()), evaluated=("bsdf", *PREDICTIONS)) as datasets:
-        page = material_page(datasets, **spec)
+        files = reading.relative(dict(input.items()), to=output["page"])
+        page = material_page(datasets, files=files, **spec)
     store.write_text(output["page"], page)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -28,10 +29,20 @@ def opened(
     ------
     StoreError : a file is missing or damaged.
     """
-    paths: dict[str, str] = {}
-    for stage, given in files.items():
-        paths |= {stage: given} if isinstance(given, str) else {Path(path).stem: path for path in given}
-    with store.opened(paths) as datasets:
+    with store.opened(_by_stage(files)) as datasets:
         for name in set(evaluated) & set(datasets):
             datasets[name] = datasets[name].drop_dims(DIMENSION, errors="ignore").load()
         yield datasets
+
+
+def relative(files: Mapping[str, str | Sequence[str]], *, to: str) -> dict[str, str]:
+    """The same files by stage, in relation to the folder of a page, as links of it have them."""
+    folder = Path(to).parent
+    return {stage: Path(os.path.relpath(path, folder)).as_posix() for stage, path in _by_stage(files).items()}
+
+
+def _by_stage(files: Mapping[str, str | Sequence[str]]) -> dict[str, str]:
+    paths: dict[str, str] = {}
+    for stage, given in files.items():
+        paths |= {stage: given} if isinstance(given, str) else {Path(path).stem: path for path in given}
+    return paths

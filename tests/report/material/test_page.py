@@ -123,8 +123,10 @@ def test_no_figure_contains_nan(full_page: str) -> None:
 def test_the_page_requests_nothing_from_elsewhere(full_page: str) -> None:
     html = full_page
     page = _Page(html)
+    # The catalogue and the exported files are links to what lies beside the page; following one is up to the reader.
+    beside = re.compile(r"\.\./index\.html|exports/[^/:]+")
     assert all(
-        address.startswith(("data:image/png;base64,", "#")) or address == "../index.html" for address in page.addresses
+        address.startswith(("data:image/png;base64,", "#")) or beside.fullmatch(address) for address in page.addresses
     )
     assert page.tags.count("script") == SCRIPTS
     assert not {"link", "iframe", "object", "embed", "base", "form"} & set(page.tags)
@@ -220,6 +222,17 @@ def _export(format: str, suffixes: Iterable[str], record: Mapping[str, object]) 
     records = dict.fromkeys(list(files)[:1], record)
     attributes = {"format": format, "side": "reflection", "files": json.dumps(files), "records": json.dumps(records)}
     return xr.Dataset(attrs={"kind": "export", "material": "abs-grain", **attributes})
+
+
+@pytest.mark.usefixtures("without_bsdf_figures")
+def test_the_page_links_to_its_datasets_and_exported_files(full: Datasets) -> None:
+    files = {"export_toy": "../a/export_toy.nc", "surface": "../a/surface.nc", "bsdf": '../"><b>/bsdf.nc'}
+    page = material_page(full | {"export_toy": _export("toy", [".toy"], {})}, files=files)
+    links = re.findall(r'<a href="([^"#]*)">', page[page.index('id="downloads"') :])
+    assert links[:2] == ["../%22%3E%3Cb%3E/bsdf.nc", "../a/surface.nc"]
+    assert links[2:] == ["exports/abs-grain.toy", "exports/abs-grain.lambert_gauss.csv"]
+    assert 'href="#downloads"' in page
+    assert "downloads" not in re.sub("<style>.*?</style>", "", material_page({"index": full["index"]}), flags=re.S)
 
 
 def test_the_limits_of_a_material_known_only_by_its_colour_name_the_finish(full: Datasets) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
+from urllib.parse import quote
 
 import numpy as np
 import xarray as xr
@@ -50,6 +51,7 @@ def material_page(
     accepted: Acceptances = (),
     unused: Mapping[str, str] = MappingProxyType({}),
     origins: Sequence[Sequence[str]] = (),
+    files: Mapping[str, str] = MappingProxyType({}),
 ) -> str:
     """The report of one material, one self-contained HTML file.
 
@@ -60,6 +62,7 @@ def material_page(
     accepted : warnings that the description accepts
     unused : keys of the description that nothing uses, and why
     origins : key, value and origin of all that the description says, inherits or leaves to defaults
+    files : stage → its file in relation to the page, for links
 
     Returns
     -------
@@ -95,7 +98,7 @@ def material_page(
     prediction = [spectrum_section(known), *inputs] if measured else []
     name = material_name(known)
     technique = f"{route(known).capitalize()} from {basis(known) or 'no data'}"
-    files = exported_files(known, name)
+    exported_paths = exported_files(known, name)
     directional = viewer_data(known)
     script, script_hash = rendering.script("uPlot.js", "viewer.js") if directional else ("", "")
     return render(
@@ -104,7 +107,7 @@ def material_page(
         script=script,
         script_hash=script_hash,
         name=name,
-        linked_data=structured_data.of_material(known, name, description, technique, files),
+        linked_data=structured_data.of_material(known, name, description, technique, exported_paths),
         description=description,
         route=": ".join(filter(None, (technique, solution_words(known)))),
         choice=choice_words(known),
@@ -126,8 +129,29 @@ def material_page(
         prediction=[section for section in prediction if section],
         rig=rig_section.chapter(datasets),
         comparison=comparison.chapter(datasets.get("comparison")),
+        downloads=[
+            (title, [(quote(file), file.rpartition("/")[2]) for file in listed])
+            for title, listed in _downloads(_datasets(files, known), exported_paths)
+        ],
         provenance=[provenance(stage_title(known, stage), dataset) for stage, dataset in known.items()],
     )
+
+
+def _datasets(files: Mapping[str, str], known: Mapping[str, xr.Dataset]) -> dict[str, str]:
+    """The files without the records of exported ones, which have links of their own."""
+    return {
+        stage: file for stage, file in files.items() if stage not in known or known[stage].attrs["kind"] != "export"
+    }
+
+
+def _downloads(datasets: Mapping[str, str], exported: Sequence[str]) -> list[tuple[str, Sequence[str]]]:
+    """Titles and files of the links, the BSDF itself first."""
+    ordered = sorted(datasets.values(), key=lambda file: not file.endswith("bsdf.nc"))
+    groups = [
+        ("Datasets (netCDF), from which every figure is drawn", ordered),
+        ("Exported for other programs", exported),
+    ]
+    return [(title, files) for title, files in groups if files]
 
 
 def _description_section(origins: Sequence[Sequence[str]], spectrum: xr.Dataset | None) -> Section:
