@@ -32,7 +32,7 @@ REFERENCE_INDEX = 1.567
 SOURCE = (0.75, 2.5)
 """Full angles of the source image, in the plane of incidence and across it [degree] (ASTM D523; not confirmed)."""
 
-_NARROW_SLOPE, _MODERATE_SLOPE = 1e-4, 0.02
+_NARROWEST_SLOPE, _NARROW_SLOPE, _MODERATE_SLOPE = 1e-6, 1e-4, 0.02
 _DARKEST_LOBE = 1e-12
 _MOST_EVALUATIONS = 2**19
 _FIRST_AZIMUTHS, _MOST_AZIMUTHS, _CONVERGED = 16, 512, 3e-4
@@ -48,7 +48,7 @@ class Rule(NamedTuple):
 
 
 FINE = Rule((4, 6), 5)
-"""Accurate to 2e-5 of the gloss."""
+"""Accurate to 2e-5 of the gloss of facets, and to 1e-3 of it, at most 0.02 units, of a halo with long waves, which is narrow beside its facets."""
 
 QUICK, _QUICKEST = Rule((3, 4), 4), Rule((3, 4), 3)
 """Accurate to 3e-4 of the gloss of the narrowest lobes, 2e-5 of moderate ones; and to 5e-5 of a mean over azimuths of wide lobes."""
@@ -99,6 +99,11 @@ class Sample(NamedTuple):
     """Azimuth of the plane of incidence [degree]; None for the mean over all of them."""
     lobe: float
     """Typical slope of the lobe [rad]."""
+
+    def lobe_at(self, angle: float) -> float:
+        """That of the narrowest part of the lobe at an incidence [degree]."""
+        narrowest = representation(self.bsdf).lobe_slope_at(angle)
+        return self.lobe if narrowest is None else min(self.lobe, max(narrowest, _NARROWEST_SLOPE))
 
 
 def sample_of(bsdf: xr.Dataset, azimuth: float | None) -> Sample:
@@ -193,7 +198,11 @@ class Receptors(NamedTuple):
     def of(cls, sample: Sample, beams: Sequence[Beam]) -> Receptors:
         given = representation(sample.bsdf)
         reduced = [_on_one_side(beam, given.mirror_symmetric) for beam in beams]
-        return cls(given, [window_nodes(beam, sample.lobe) for beam, _ in reduced], [number for _, number in reduced])
+        return cls(
+            given,
+            [window_nodes(beam, sample.lobe_at(beam.angle)) for beam, _ in reduced],
+            [number for _, number in reduced],
+        )
 
     def received(self, azimuths: Array, reflector: Reflector | None = None) -> list[Array]:
         """As :func:`received`."""
@@ -288,7 +297,7 @@ def lobe_scale(bsdf: xr.Dataset) -> float:
     slope = representation(bsdf).lobe_slope
     if slope is None or (slope < _NARROW_SLOPE and not _has_lobe(bsdf)):
         return _MODERATE_SLOPE
-    return float(np.clip(slope, 1e-6, 0.2))
+    return float(np.clip(slope, _NARROWEST_SLOPE, 0.2))
 
 
 def _has_lobe(bsdf: xr.Dataset) -> bool:

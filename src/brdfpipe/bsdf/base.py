@@ -191,6 +191,10 @@ class Representation(ABC):
         """Typical slope of the facets that form the specular lobe [1]; None if it is unknown."""
         return None
 
+    def lobe_slope_at(self, theta_i: float) -> float | None:
+        """Slope over which the narrowest part of the lobe varies at an incidence [degree]; :attr:`lobe_slope` if that is the same at all."""
+        return self.lobe_slope
+
     @property
     def halvings(self) -> int:
         """How often the cells of a quadrature halve towards the mirror direction, so that the narrowest lobe is not missed."""

@@ -91,6 +91,9 @@ class OneSide(Representation):
     def lobe_slope(self) -> float | None:
         return self._whole.lobe_slope
 
+    def lobe_slope_at(self, theta_i: float) -> float | None:
+        return self._whole.lobe_slope_at(theta_i)
+
     @property
     def non_smooth_angles(self) -> tuple[Array, Array]:
         polar, azimuths = self._whole.non_smooth_angles

@@ -6,8 +6,12 @@ import mpmath
 import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
+from scipy.ndimage import map_coordinates
+from scipy.special import j0
 
+from brdfpipe import hemisphere
 from brdfpipe.bsdf.wave import height_transform
+from brdfpipe.bsdf.wave.halo import Halo
 from brdfpipe.bsdf.wave.height_transform import gaussian, k_correlation
 
 FREQUENCY = np.concatenate([[0.0], np.geomspace(1e-3, 5.0, 60)])
@@ -71,9 +75,11 @@ def test_a_measured_spectrum_is_continued_by_its_fitted_form():
     # Linear between logarithms of 200 values.
     assert found.spectrum(everywhere) == pytest.approx(truth.spectrum(everywhere), rel=2e-3)
     table = height_transform.tabulated(found, 0.1, 4.0)
-    expected = height_transform.tabulated(truth, 0.1, 4.0).interp(halo_frequency=table["halo_frequency"])
-    inside = (table["halo_frequency"].values > 0) & (table["halo_frequency"].values < 4.0)
-    assert table["log_halo"].values[:, inside] == pytest.approx(expected["log_halo"].values[:, inside], abs=3e-3)
+    asked = table["halo_frequency"].values
+    # Below its first frequency the spectrum falls to 0, and light of higher orders alone is left.
+    inside = (asked > frequency[0]) & (asked < 4.0)
+    expected = height_transform.log_transform(truth, table["phase_variance"].values, asked[inside])
+    assert np.abs(table["log_halo"].values[:, inside] - expected).max() < 3e-3
 
 
 def test_a_smooth_surface_ends_where_its_gaussian_form_is_below_all_numbers():
@@ -117,3 +123,41 @@ def test_a_spline_through_the_nodes_about_some_places_is_that_through_all():
     for at in (np.array([0.5]), np.array([5.003]), np.linspace(4.0, 9.5, 77)):
         expected = CubicSpline(nodes, values, axis=1)(at)
         np.testing.assert_allclose(height_transform._interpolated(nodes, values, at), expected, atol=1e-13)
+
+
+def test_the_table_is_the_integral_where_long_waves_meet_the_band():
+    # 300 times more of the spectrum below the band than above it.
+    frequency, lowest = np.geomspace(0.012, 0.1, 40), 0.01
+    long_waves = height_transform.LongWaves(0.4, 0.018, lowest)
+    found, sigma = height_transform.measured(frequency, np.exp(-((np.pi * 8 * frequency) ** 2)), None, long_waves)
+    f, of_frequency = _panels(np.concatenate([np.linspace(0, 0.016, 81), np.geomspace(0.016, 0.4, 80)[1:]]), 4)
+    r, of_distance = _panels(np.concatenate([np.linspace(0, 40, 61), np.linspace(40, 1500, 361)[1:]]), 4)
+    rho = 2 * np.pi * j0(2 * np.pi * r[:, None] * f) @ (found.spectrum(f) * f * of_frequency)
+    asked = lowest * np.array([0.3, 0.8, 0.9, 0.95, 1.0, 1.05, 1.1, 1.2, 1.5])
+    hankel = 2 * np.pi * j0(2 * np.pi * asked[:, None] * r) * r * of_distance
+    table = height_transform.tabulated(found, 40.0, 2.0)
+    halo = Halo.of_table(*(table.variables[name].values for name in _OF_TABLE), np.array(sigma), "ssa1")
+    for g in (0.5, 4.0):
+        expected = np.exp(-g) * (found.spectrum(asked) + hankel @ (np.expm1(g * rho) - g * rho) / g)
+        place = [
+            np.full(asked.size, np.log(g / table["phase_variance"].values[0]) / halo.phase_step),
+            np.arcsinh(asked / halo.scale) / halo.frequency_step,
+        ]
+        values = np.exp(map_coordinates(halo.spline, place, order=3, mode="mirror", prefilter=False))
+        assert values == pytest.approx(expected, abs=2e-4 * expected.max())
+
+
+@pytest.mark.parametrize("relative", [0.05, 0.5, 0.69])
+def test_long_waves_have_their_rms_height_and_slope(relative):
+    waves = height_transform.LongWaves(0.5, relative * 2 * np.pi * 0.5 * 0.01, 0.01)
+    f, weight = _panels(np.linspace(0, 0.03, 400), 4)
+    variance, square = (2 * np.pi * waves.spectrum()(f) * f * part @ weight for part in (np.ones_like(f), f**2))
+    assert np.sqrt(variance) == pytest.approx(0.5, rel=1e-3)
+    assert 2 * np.pi * np.sqrt(square) == pytest.approx(waves.slope, rel=1e-3)
+
+
+_OF_TABLE = ("log_halo", "phase_variance", "halo_frequency", "frequency_scale")
+
+
+def _panels(edges, order):
+    return (part.ravel() for part in hemisphere.panel_rule(edges, order))

@@ -15,8 +15,11 @@ import samples
 import xarray as xr
 
 from brdfpipe import appearance, facets, psd
+from brdfpipe.appearance import apertures
+from brdfpipe.appearance.gloss_meter import gloss_at
 from brdfpipe.bsdf import kirchhoff, microfacet, wave
 from brdfpipe.bsdf.slab.wave_face import WaveSurface
+from brdfpipe.bsdf.wave import builder, height_transform
 from brdfpipe.geometry import Array
 from brdfpipe.optics.fresnel_equations import fresnel
 from brdfpipe.optics.index import refractive_index
@@ -27,6 +30,7 @@ POLISHED = {20.0: 82.05, 60.0: 89.14, 85.0: 98.97}
 RECEPTOR = {20.0: (1.8, 3.6), 60.0: (4.4, 11.7), 85.0: (4.0, 6.0)}
 SOURCE = (0.75, 2.5)
 ANGLES = list(POLISHED)
+LIGHT = np.arange(400.0, 701.0, 50.0)
 
 
 def waviness(sigma: float, length: float, fine: float, fine_length: float, seed: int) -> xr.Dataset:
@@ -142,3 +146,31 @@ def test_a_face_of_a_sheet_scatters_long_waves_near_the_straight_direction():
     inside = np.trapezoid(np.where(sine < np.sin(np.radians(1.0)), halo, 0.0), np.log(sine))
     # Its slopes of at most 0.0025 deflect light by 0.3 degree.
     assert inside / np.trapezoid(halo, np.log(sine)) > 0.95
+
+
+def wavy_line() -> xr.Dataset:
+    """A profile of an eroded mould: roughness 6 um long upon waves ten times as long, which the band of its spectrum cuts."""
+    random, frequency = np.random.default_rng(3), np.fft.rfftfreq(4096, 0.5)
+    rough, wavy = (
+        np.fft.irfft(np.fft.rfft(random.standard_normal(4096)) * np.exp(-((np.pi * length * frequency) ** 2) / 2))
+        for length in (6.0, 60.0)
+    )
+    return samples.surface(0.33 * rough / rough.std() + 0.6 * wavy / wavy.std(), (0.5, 0.5))
+
+
+def test_finer_tables_and_quadratures_do_not_change_the_gloss_of_a_line(monkeypatch):
+    surface = wavy_line()
+    roughness, slopes = psd.estimate(surface), facets.estimate(surface, isotropic=True)
+    assert float(roughness["long_sigma"]) > 0.3
+
+    def built() -> xr.Dataset:
+        return wave.build(roughness, index=1.5, wavelength=LIGHT, facets=slopes, optics="auto", states_cut_error=False)
+
+    bsdf = built()
+    found = appearance.gloss(bsdf, ANGLES).values
+    sample = apertures.sample_of(bsdf, None)._replace(lobe=0.005)
+    finer = [float(gloss_at(sample, angle, np.zeros(1), apertures.Rule((8, 12), 10))[0]) for angle in ANGLES]
+    assert found == pytest.approx(finer, abs=0.01)
+    monkeypatch.setattr(height_transform, "FREQUENCY_STEP", height_transform.FREQUENCY_STEP / 4)
+    monkeypatch.setattr(builder, "_TURNS", 2 * builder._TURNS)
+    assert found == pytest.approx(appearance.gloss(built(), ANGLES).values, abs=0.02)

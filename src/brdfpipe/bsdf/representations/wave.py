@@ -277,11 +277,15 @@ class Wave(Representation):
         """Facet slope at which the halo has half its peak, at normal incidence and the middle wavelength, or of the facets if smaller."""
         return self.slope_of(self.dataset)
 
+    def lobe_slope_at(self, theta_i: float) -> float:
+        """See the base class. Towards grazing incidence the phase variance falls, and light of first order by long waves is the narrowest part."""
+        return min(self.lobe_slope, self.slope_of(self.dataset, theta_i))
+
     @staticmethod
-    def slope_of(bsdf: xr.Dataset) -> float:
-        """That of a ``bsdf`` dataset."""
+    def slope_of(bsdf: xr.Dataset, theta_i: float = 0.0) -> float:
+        """That of a ``bsdf`` dataset, at an incidence [degree]."""
         of_facets = Microsurface.of(bsdf).typical_slope if "slope_density" in bsdf else 1.0
-        return min(Wave._halo_slope(bsdf), of_facets)
+        return min(Wave._halo_slope(bsdf, theta_i), of_facets)
 
     @staticmethod
     def widths_of(bsdf: xr.Dataset) -> tuple[float, float]:
@@ -295,21 +299,22 @@ class Wave(Representation):
         return min(widths[0], ellipse.along), min(widths[1], ellipse.across)
 
     @staticmethod
-    def _halo_slope(bsdf: xr.Dataset) -> float:
-        """Slope at which the halo has half its peak, with a lay along it; 1 without a halo."""
+    def _halo_slope(bsdf: xr.Dataset, theta_i: float = 0.0) -> float:
+        """Slope at which the halo has half its peak at an incidence [degree], with a lay along it; 1 without a halo."""
         if "log_halo" not in bsdf:
             return 1.0
         wavelength = bsdf["mixed_wavelength" if "mixture" in bsdf else "wavelength"].values
         middle = float(wavelength[wavelength.size // 2]) * 1e-3
         phase, frequency = bsdf["phase_variance"].values, bsdf["halo_frequency"].values
-        row = int(np.argmin(np.abs(phase - (4 * np.pi * float(bsdf["sigma"]) / middle) ** 2)))
+        both = 2 * max(np.cos(np.radians(theta_i)), 1e-3)
+        row = int(np.argmin(np.abs(phase - (2 * np.pi * both * float(bsdf["sigma"]) / middle) ** 2)))
         values = bsdf["log_halo"].values[row]
         if values.ndim == 2:
             values, frequency = values.max(axis=1), frequency / float(bsdf["halo_stretch"])
         # A measured spectrum has no heights longer than the scan, and its halo a dip in the middle.
         below = (values < values.max() - np.log(2)) & (np.arange(values.size) > values.argmax())
         half = frequency[below.argmax()] if below.any() else frequency[-1]
-        return float(np.clip(half * middle / 2, 1e-9, 1.0))
+        return float(np.clip(half * middle / both, 1e-9, 1.0))
 
     def nonspectral(self, weight: Array) -> xr.Dataset:
         """The mean over wavelength. Coherent part and halo are evaluated at a few wavelengths that stand for all of them."""

@@ -96,6 +96,8 @@ _LEAST_SIGMA = 1e-9
 """Rms height below which a surface is as good as flat [um]."""
 _INCIDENCES, _LAY_INCIDENCES = 33, 33
 """Angles of incidence at which the reflectance is integrated."""
+_TURNS, _LONG_LOBE = 12, 0.5
+"""Azimuths about the mirror direction in half a turn, and the cosine of incidence below which it has twice as many: a lobe is 1/cos θ times as long there as wide."""
 _WAVELENGTHS, _LAY_WAVELENGTHS = 12, 6
 """Wavelengths at which the reflectance is integrated; over the others its ratio to Fresnel's is interpolated."""
 _ITERATIONS, _CLOSURES = 60, (0.02, 2.0)
@@ -642,15 +644,15 @@ def _between_wavelengths(values: Array, few: NDArray[np.int64], wavelength: Arra
 
 def _directions(bsdf: xr.Dataset, azimuths: Array) -> Callable[[float], Iterator[tuple[Array, Angles]]]:
     """Weights and directions of an integral over the lobe, by azimuths of incidence, as a function of its angle [degree]."""
-    if azimuths.size == 1:
-        slope = Wave.slope_of(bsdf)
-    else:
+    if azimuths.size > 1:
         (along, across), lay = Wave.widths_of(bsdf), ellipse_of(bsdf).lay
 
     def at_incidence(theta_i: float) -> Iterator[tuple[Array, Angles]]:
         if azimuths.size == 1:
             # The rule covers one side of the plane of incidence.
-            rules = [hemisphere.around_mirror(theta_i, slope, order=5, turns=12)]
+            slope = min(Wave.slope_of(bsdf), Wave.slope_of(bsdf, theta_i))
+            turns = _TURNS if np.cos(np.radians(theta_i)) > _LONG_LOBE else 2 * _TURNS
+            rules = [hemisphere.around_mirror(theta_i, slope, order=5, turns=turns)]
         else:
             rules = [hemisphere.around_mirror_with_lay(theta_i, float(phi), along, across, lay) for phi in azimuths]
         for azimuth, (theta, phi, weight) in zip(azimuths, rules, strict=True):

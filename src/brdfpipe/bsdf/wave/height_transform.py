@@ -24,12 +24,14 @@ import numpy as np
 import xarray as xr
 from scipy.fft import fht, fhtoffset
 from scipy.ndimage import spline_filter1d
-from scipy.special import gammaln, kv
+from scipy.optimize import brentq
+from scipy.special import expit, gammaln, kv
 
 from brdfpipe.geometry import Array
 
 FREQUENCY_STEP, PHASE_STEP = 0.03, 0.06
-"""Steps of the table in asinh(f/f0) and in ln g; a cubic spline between its nodes is accurate to 1e-6 of K."""
+"""Steps of the table in asinh(f/f0) and in ln g. A cubic spline between its nodes is accurate to 1e-6 of the largest K where the spectrum is a form, and to
+1e-4 of it where it is measured: there its logarithm has corners, and where long waves meet the band it falls steeply."""
 
 _MARGIN = 12
 """Nodes beyond the largest f and g, so that the ends of the spline do not matter."""
@@ -40,8 +42,9 @@ _DENSE_TERMS = 400.0
 _MOST_TERMS = 3000
 _NOISE = 1e-13
 """Share of the largest K that a discrete transform cannot tell from 0."""
-_LOW_CUT = 24
-"""Power of f with which a measured spectrum falls below its first frequency."""
+_CROSSOVER = 24
+"""Order of the crossover between long waves and a measured spectrum, and power of f with which it falls below its band without them. A spectrum that
+jumped would give a BRDF with a jump, for which no table and no quadrature converges; this one is as sharp as the steps of the table resolve."""
 _SPREAD_NOISE = 1e-9
 """The same upon a coarser relief, where no order is known without a transform."""
 _SERIES_PHASE, _SERIES_ORDERS = 0.3, np.arange(2, 18)
@@ -67,6 +70,8 @@ class Autocorrelation(NamedTuple):
     """``gaussian`` and ``exponential`` have series; ``any`` has none"""
     of_distance: Callable[[Array], Array] | None = None
     """ρ at distances [um]; None if it is found from the spectrum"""
+    lowest: float = np.inf
+    """Frequency at which the spectrum begins to vary, if not at 1/(2π · ``length``) [um-1]"""
 
 
 def gaussian(length: float) -> Autocorrelation:
@@ -105,18 +110,34 @@ class LongWaves(NamedTuple):
         """S [um4] of a Gaussian form that ends where the band begins, with the rms height and slope; it is flat for larger slopes."""
         if not self.sigma > 0:
             return np.zeros_like
-        # ⟨f²⟩ over the square of the highest frequency falls with the exponent there, from 1/2.
-        exponent = np.geomspace(1e-4, 1e10, 2001)
-        ratio = 1 / exponent - 1 / np.expm1(np.minimum(exponent, 700.0))
-        found = np.interp(-2 * np.log(max(self.relative_frequency, 1e-5)), -np.log(ratio), np.log(exponent))
-        decay = float(np.exp(found)) / self.highest**2
-        peak = self.sigma**2 * decay / (np.pi * -np.expm1(-decay * self.highest**2))
-        return lambda f: np.where(f < self.highest, peak * np.exp(-decay * f**2), 0.0)
+        # In units of the highest frequency.
+        x = np.geomspace(1e-6, 4.0, 4001)
+        weight = np.gradient(np.log(x)) * x**2 * _share_below(x)
+
+        def moments(log_decay: float) -> tuple[float, float]:
+            values = weight * np.exp(-np.exp(log_decay) * x**2)
+            return float(values.sum()), float(values @ x**2)
+
+        def excess(log_decay: float) -> float:
+            variance, square = moments(log_decay)
+            return float(np.log(square / variance)) - 2 * np.log(max(self.relative_frequency, 1e-5))
+
+        flattest, narrowest = np.log(1e-4), np.log(1e10)
+        # ⟨f²⟩ falls with the decay.
+        found = float(brentq(excess, flattest, narrowest)) if excess(flattest) > 0 else flattest
+        peak = self.sigma**2 / (2 * np.pi * self.highest**2 * moments(found)[0])
+        decay = np.exp(found) / self.highest**2
+        return lambda f: peak * np.exp(-decay * f**2) * _share_below(f / self.highest)
 
     @property
     def relative_frequency(self) -> float:
         """√⟨f²⟩ over the highest frequency [1]."""
         return self.slope / (2 * np.pi * self.sigma * self.highest) if self.sigma > 0 else 1.0
+
+
+def _share_below(relative_frequency: Array) -> Array:
+    """Share [1] of the long waves in the spectrum at a frequency over the first of the band; the rest is of the band."""
+    return np.asarray(expit(-_CROSSOVER * np.log(np.maximum(relative_frequency, 1e-300))))
 
 
 def measured(
@@ -144,8 +165,10 @@ def measured(
 
     def spectrum(f: Array) -> Array:
         inside = np.exp(np.interp(np.log(f), log_f, log_s))
-        low, high = np.minimum(f / waves.highest, 1.0), np.maximum(f / frequency[-1], 1.0)
-        return np.asarray(inside * low**_LOW_CUT * continuation(high) + below(f))
+        # Without long waves the first frequency keeps all its light, and the fall below it is no jump.
+        low = np.minimum(f / waves.highest, 1.0) ** _CROSSOVER
+        in_band = 1 - _share_below(f / waves.highest) if waves.sigma > 0 else low
+        return np.asarray(inside * in_band * continuation(np.maximum(f / frequency[-1], 1.0)) + below(f))
 
     lowest = 1e-5 * waves.highest * min(waves.relative_frequency, 1.0)
     grid = np.geomspace(lowest, 1e6 * frequency[-1], 20001)
@@ -153,7 +176,8 @@ def measured(
     variance = 2 * np.pi * float(np.trapezoid(values * grid**2, np.log(grid)))
     # ρ falls to 1/e at about the distance where a Gaussian of the same peak and variance does.
     length = float(np.sqrt(values.max() / (np.pi * variance)))
-    return Autocorrelation(lambda f: spectrum(f) / variance, length, "any"), float(np.sqrt(variance))
+    found = Autocorrelation(lambda f: spectrum(f) / variance, length, "any", lowest=waves.highest)
+    return found, float(np.sqrt(variance))
 
 
 def slope_variance(correlation: Autocorrelation, sigma: float, highest: float) -> float:
@@ -198,7 +222,7 @@ def tabulated(
     ``log_halo(phase_variance, halo_frequency)``, with nodes evenly spaced in ln g and in asinh(f/f0); f0 is ``frequency_scale``. The
     nodes go beyond the given ends
     """
-    scale = 1 / (2 * np.pi * correlation.length)
+    scale = min(1 / (2 * np.pi * correlation.length), correlation.lowest / 2)
     nodes = int(np.ceil(np.arcsinh(largest_frequency / scale) / FREQUENCY_STEP)) + _MARGIN
     frequency = scale * np.sinh(FREQUENCY_STEP * np.arange(nodes + 1))
     span = np.log(max(largest_phase, 2 * _LEAST_PHASE) / _LEAST_PHASE)
