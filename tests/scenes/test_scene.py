@@ -15,7 +15,7 @@ from brdfpipe.errors import BrdfpipeError, InputError
 from brdfpipe.scenes import geometries, scene
 from brdfpipe.scenes.metrics import METRICS
 from brdfpipe.scenes.results import PARTS, RESULTS
-from brdfpipe.scenes.scene import Scene, different, load_scene, shipped_scenes
+from brdfpipe.scenes.scene import Scene, SceneError, different, load_scene, shipped_scenes
 from brdfpipe.scenes.scene_keys import METRIC_UNITS
 from brdfpipe.stages import STAGES, Subject
 
@@ -318,3 +318,17 @@ def test_a_measured_material_has_no_prediction_unless_it_is_compared(tmp_path: P
     subject = Subject(examples["milk-glass"], examples.config, (), load_scene("gloss-sheet"))
     assert not {"facets", "predicted", "spectrum", "index"} & stages_of(subject)
     assert "predicted" in stages_of(Subject(examples["milk-glass"], examples.config, (), load_scene("catalogue")))
+
+
+def test_gloss_without_a_gloss_angle_in_the_domain_is_refused(tmp_path: Path) -> None:
+    beside = "purpose: beside\ndomain: {cones: [{theta_i: 45, half_angle: 5}]}\nresults: [gloss]\nmetric: gloss\ntolerance: 1\n"
+    for name, key in (("a", "scene: beside.yaml\n"), ("b", "")):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "material.yaml").write_text(COLOUR + key)
+    written(tmp_path / "a", "beside", beside)
+    reason = "scene beside: asks for `gloss`, but its domain contains the mirror direction of no gloss angle"
+    loaded = load(tmp_path)
+    assert [item.name for item in loaded.materials] == ["b"]
+    assert loaded.failures["a"].startswith(reason)
+    with pytest.raises(SceneError, match=r"20° or 60° or 85°"):
+        load(tmp_path, scene=str(tmp_path / "a" / "beside.yaml"))

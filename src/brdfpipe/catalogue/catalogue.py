@@ -30,7 +30,8 @@ from brdfpipe.catalogue.names import (
 )
 from brdfpipe.descriptions.keys import NAME
 from brdfpipe.errors import BrdfpipeError, InputError, printable
-from brdfpipe.scenes.scene import Scene, different, load_scene
+from brdfpipe.scenes.geometries import gloss_angles
+from brdfpipe.scenes.scene import Scene, SceneError, different, load_scene
 from brdfpipe.stages import STAGES, Subject
 
 
@@ -130,6 +131,8 @@ def load(folder: Path, config: Mapping[str, Any] | None = None, scene: str | Non
         raise CatalogueError(f"{folder}: is a material, not a catalogue; give the folder above it")
     defaults = load_defaults(folder)
     of_catalogue = load_scene(scene or defaults.content.get("scene", config["scene"]))
+    if problem := _without_gloss_angle(of_catalogue, config):
+        raise SceneError(problem)
     folders, unreadable = _folders_of_materials(folder)
     if not folders and not unreadable:
         hints = "".join(f"; {name}: {reason}" for name, reason in [*ignored(folder).items()][:3])
@@ -142,7 +145,7 @@ def load(folder: Path, config: Mapping[str, Any] | None = None, scene: str | Non
     failures = {name: item for name, item in loaded.items() if isinstance(item, str)} | duplicates
     materials = {item.name: item for key, item in loaded.items() if isinstance(item, Material) and key not in failures}
     calibrations = load_calibrations(folder)
-    refusals = _rig_refusals(materials, calibrations) | _scene_refusals(materials, of_catalogue)
+    refusals = _rig_refusals(materials, calibrations) | _scene_refusals(materials, of_catalogue, config)
     for name, refusal in refusals.items():
         failures[name] = refusal
         del materials[name]
@@ -196,10 +199,25 @@ def _duplicate_names(loaded: Mapping[str, Material | str]) -> dict[str, str]:
     }
 
 
-def _scene_refusals(materials: Mapping[str, Material], of_catalogue: Scene) -> dict[str, str]:
-    """Refusals of materials with a scene of the name of another one."""
+def _without_gloss_angle(scene: Scene, config: Mapping[str, Any]) -> str:
+    """Why a scene cannot have the gloss that it asks for; empty if it can."""
+    angles = config["gloss_angles"]
+    if not scene.asks("gloss") or not angles or gloss_angles(scene.domain, angles):
+        return ""
+    accepted = " or ".join(f"{angle:g}°" for angle in angles)
+    return (
+        f"scene {scene.name}: asks for `gloss`, but its domain contains the mirror direction of no gloss angle; accepted: a cone about the mirror "
+        f"direction of {accepted} (`gloss_angles` of the configuration); add one to `domain`, or leave `gloss` out of `results`"
+    )
+
+
+def _scene_refusals(
+    materials: Mapping[str, Material], of_catalogue: Scene, config: Mapping[str, Any]
+) -> dict[str, str]:
+    """Refusals of materials with a scene of the name of another one, or one that cannot have the gloss that it asks for."""
     scenes = {name: materials[name].scene for name in sorted(materials)}
-    return {
+    problems = {name: _without_gloss_angle(scene, config) for name, scene in scenes.items()}
+    return {name: problem for name, problem in problems.items() if problem} | {
         name: str(
             InputError(
                 materials[name].folder / DESCRIPTION,

@@ -10,7 +10,6 @@ from brdfpipe.scenes.scene_keys import CHEAPEST, METRIC_UNITS, METRICS_OF_DOMAIN
 from brdfpipe.stages import EVERYWHERE, geometries_in
 
 _WITHOUT_GEOMETRIES = {
-    "gloss": "`gloss` has no result: no gloss angle of the configuration has its mirror direction in the domain",
     "haze": "`haze` has no result: no haze window of the configuration has its mirror direction in the domain",
     "colour": "`colour` has the total reflectance alone: the domain lists no pair of directions, and holds none of the configuration",
 }
@@ -27,7 +26,8 @@ def scene_notices(scenes: Iterable[Scene], config: Mapping[str, Any]) -> Iterato
     known = geometries_in(EVERYWHERE, config)
     for scene in scenes:
         for part, found in geometries_in(scene.domain, config).items():
-            if scene.asks(part) and known[part] and not found:
+            # A catalogue with a scene that asks for gloss without an angle is refused.
+            if part in _WITHOUT_GEOMETRIES and scene.asks(part) and known[part] and not found:
                 yield f"scene {scene.name}: {_WITHOUT_GEOMETRIES[part]}; add directions to `domain`, or leave the result out"
         if scene.name not in shipped_scenes() and (reason := _why_not_checked(scene)):
             content = scene.content
