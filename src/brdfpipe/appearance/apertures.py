@@ -48,7 +48,7 @@ class Rule(NamedTuple):
 
 
 FINE = Rule((4, 6), 5)
-"""Accurate to 2e-5 of the gloss of facets, and to 1e-3 of it, at most 0.02 units, of a halo with long waves, which is narrow beside its facets."""
+"""Accurate to 2e-5 of the gloss of facets, and to 1e-3 of it of a halo that is narrow beside its facets, or empty about the mirror direction."""
 
 QUICK, _QUICKEST = Rule((3, 4), 4), Rule((3, 4), 3)
 """Accurate to 3e-4 of the gloss of the narrowest lobes, 2e-5 of moderate ones; and to 5e-5 of a mean over azimuths of wide lobes."""
