@@ -43,7 +43,7 @@ _MOST_TERMS = 3000
 _NOISE = 1e-13
 """Share of the largest K that a discrete transform cannot tell from 0."""
 _CROSSOVER = 24
-"""Order of the crossover between long waves and a measured spectrum, and power of f with which it falls below its band without them. A spectrum that
+"""Order of the crossover at which long waves end, and power of f with which a measured spectrum falls below its band. A spectrum that
 jumped would give a BRDF with a jump, for which no table and no quadrature converges; this one is as sharp as the steps of the table resolve."""
 _SPREAD_NOISE = 1e-9
 """The same upon a coarser relief, where no order is known without a transform."""
@@ -136,7 +136,7 @@ class LongWaves(NamedTuple):
 
 
 def _share_below(relative_frequency: Array) -> Array:
-    """Share [1] of the long waves in the spectrum at a frequency over the first of the band; the rest is of the band."""
+    """Share [1] of the long waves that is left at a frequency over the first of the band."""
     return np.asarray(expit(-_CROSSOVER * np.log(np.maximum(relative_frequency, 1e-300))))
 
 
@@ -165,10 +165,9 @@ def measured(
 
     def spectrum(f: Array) -> Array:
         inside = np.exp(np.interp(np.log(f), log_f, log_s))
-        # Without long waves the first frequency keeps all its light, and the fall below it is no jump.
-        low = np.minimum(f / waves.highest, 1.0) ** _CROSSOVER
-        in_band = 1 - _share_below(f / waves.highest) if waves.sigma > 0 else low
-        return np.asarray(inside * in_band * continuation(np.maximum(f / frequency[-1], 1.0)) + below(f))
+        # The band keeps all its light, and its fall below is no jump.
+        low = np.minimum(f / waves.highest, 1.0)
+        return np.asarray(inside * low**_CROSSOVER * continuation(np.maximum(f / frequency[-1], 1.0)) + below(f))
 
     lowest = 1e-5 * waves.highest * min(waves.relative_frequency, 1.0)
     grid = np.geomspace(lowest, 1e6 * frequency[-1], 20001)
