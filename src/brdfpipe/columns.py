@@ -22,6 +22,8 @@ TEXT_SUFFIXES = (".csv", ".dat", ".prn", ".tab", ".tsv", ".txt")
 """Extensions read as columns of text."""
 
 _MAX_BYTES = 2**24
+_UNIT_ALONE = re.compile(r"[\[(]?\s*(?:nm|[uµμ]m|Å|cm-1|cm⁻¹|eV|%|1|-|)\s*[\])]?")
+"""A cell of a line of units below the titles of columns."""
 _COMMENT = ("#", "!", "%", "*", ";", "//")
 _NUMBER = re.compile(r"[+-]?(?:\d+(?:[.,]\d*)?|[.,]\d+)(?:[eEdD][+-]?\d+)?", re.ASCII)
 _DECIMAL_COMMA = re.compile(r"[+-]?\d+(?:,\d+)?(?:[eEdD][+-]?\d+)?", re.ASCII)
@@ -477,14 +479,25 @@ def _cells(rows: Sequence[tuple[int, str]], separator: str | None, path: Path) -
 
 
 def _names(header: Sequence[str], separator: str | None, width: int) -> tuple[str, ...] | None:
-    if not header:
-        return None
+    """Titles of the columns, from the line above the numbers; from the two lines above them if the lower one has units alone."""
     patterns = [re.escape(separator)] if separator else [r"\t+| {2,}", r"\s+"]
     for pattern in patterns:
-        cells = [cell.strip() for cell in re.split(pattern, header[-1].strip())]
-        if len(cells) == width:
-            return tuple(cells)
+        titles = [_titles(line, pattern, width) for line in header[-2:]]
+        if not titles or titles[-1] is None:
+            continue
+        above = titles[0]
+        if len(titles) > 1 and above is not None and all(map(_UNIT_ALONE.fullmatch, titles[-1])):
+            return tuple(f"{name} {unit}".strip() for name, unit in zip(above, titles[-1], strict=True))
+        return tuple(titles[-1])
     return None
+
+
+def _titles(line: str, pattern: str, width: int) -> list[str] | None:
+    """Cells of a line above the numbers; None unless there is one for each column, empty ones at the end apart."""
+    cells = [cell.strip() for cell in re.split(pattern, line.strip())]
+    while len(cells) > width and not cells[-1]:
+        cells.pop()
+    return cells if len(cells) == width else None
 
 
 def _shorten(text: str, length: int = 60) -> str:

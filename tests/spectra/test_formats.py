@@ -193,6 +193,28 @@ def test_a_row_labelled_sce_is_never_read_as_sci(tmp_path: Path, title: str, inc
     assert read(path, geometry=None, sample=2, scale="fraction").attrs["geometry"] == "sce"
 
 
+@pytest.mark.parametrize(
+    "titles",
+    ["nm;SCE;SCI;", "nm;SCE;SCI", "nm;SCE;SCI;;", "λ;SCE;SCI;\nnm;%;%;", "Report;;;\n;;;\nλ;SCE;SCI;\n[nm];[%];[%];"],
+)
+def test_titles_above_rows_that_end_in_empty_cells_name_the_columns(tmp_path: Path, titles: str) -> None:
+    rows = "".join(f"{nm};30,1;34,2;\n" for nm in range(400, 701, 10))
+    path = write(tmp_path, "two.csv", f"{titles}\n{rows}")
+    for geometry, value in (("sci", 0.342), ("sce", 0.301)):
+        spectrum = read(path, geometry=geometry, scale="percent")
+        assert spectrum["total_reflectance"].values == pytest.approx(value)
+
+
+@pytest.mark.parametrize("mark", [",", ";", "\t"])
+def test_titles_filled_up_with_empty_cells_are_no_rows(tmp_path: Path, mark: str) -> None:
+    table = labelled("Mode", "SCI", "SCE")
+    separator = next(sign for sign in ";\t," if sign in table)
+    empty = mark * table.splitlines()[0].count(separator)
+    text = f"Report of a spectrophotometer{empty}\n{empty}\n{table.replace(separator, mark)}"
+    path = write(tmp_path, "many.csv", text)
+    assert read(path, sample="red", geometry="sce", scale="fraction")["total_reflectance"].values == pytest.approx(BLUE)
+
+
 def test_samples_of_one_name_are_told_apart_by_the_cells_that_differ(tmp_path: Path) -> None:
     path = write(tmp_path, "many.csv", labelled("date", "2024-03-01", "2024-05-07"))
     with pytest.raises(InputError, match=r"ambiguous sample name.*one of red, 2024-03-01, red, 2024-05-07"):

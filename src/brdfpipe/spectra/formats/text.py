@@ -22,7 +22,7 @@ def wide_rows(text: str) -> tuple[list[str], list[tuple[int, list[str]]], str] |
     """Lines above, then header and rows of a table whose header is wavelengths; None for other tables."""
     lines = base.lines_of(text)
     for place, line in enumerate(lines):
-        if not line.strip() or line.lstrip().startswith("#"):
+        if not line.strip(" ;,\t\r\n") or line.lstrip().startswith("#"):
             continue
         separator = next((mark for mark in ";\t," if mark in line), None)
         if len(_labels(_split(line, separator))) >= _FEWEST_LABELS:
@@ -66,7 +66,8 @@ def _blank_separated(lines: Sequence[str], place: int) -> list[tuple[int, list[s
 
 def _is_row(line: str, separator: str | None) -> bool:
     """Whether most cells of a line are numbers: values above the header of wavelengths."""
-    values = [columns.number(cell, "," if separator == ";" else ".") for cell in line.split(separator)]
+    # Spreadsheets fill a row of one title up with empty cells, which are no values.
+    values = [columns.number(cell, "," if separator == ";" else ".") for cell in line.split(separator) if cell.strip()]
     return len(values) > _FEWEST_LABELS and sum(value is not None for value in values) > len(values) / 2
 
 
