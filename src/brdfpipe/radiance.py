@@ -33,7 +33,8 @@ def material(
     folder : where the file is written, with a record of its error and of what it leaves out
     name : of the file and of the modifier, by default that of the material; blanks become ``_``
     format : ``tensor-tree`` or ``klems``
-    up : vector that lies, projected onto the surface, at the azimuth 90 degree of the BSDF; not along the normal
+    up : vector that lies, projected onto the surface, at the azimuth 90 degree of the BSDF, thus across a lay at azimuth 0 and along one at 90;
+        not along the normal
     thickness : of a sheet that a pane stands for, in the unit of the scene; 0 shows the BSDF from both sides
     options : of the format
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -58,6 +60,8 @@ def test_what_a_polished_surface_mirrors_has_a_column_of_its_own(tmp_path):
     assert read["specular_reflectance"].values == pytest.approx(0.0400063, abs=1e-6)
     fit = fitting.fit_lambert_gauss(polished, [0.0, 60.0])
     exchange.write_lambert_gauss(fit, tmp_path / "f.csv", model=polished)
+    # The fit of a polished body is its Lambertian base, and its colour off the lobe.
+    assert re.search(r"CIEDE2000 [0-9.]+ of greys of both luminances at 45:0", (tmp_path / "f.csv").read_text())
     read = pd.read_csv(tmp_path / "f.csv", comment="#")
     assert read["specular_reflectance"].values == pytest.approx([0.04, optics.fresnel(0.5, 1.5).mean], abs=1e-9)
 

@@ -30,6 +30,9 @@ _LAMBERT_GAUSS_COLUMNS = {
     "fit_residual": "relative_residual",
 }
 
+_LARGEST_DELTA_E = 5.0
+"""As of the other fits; above it the table says so."""
+
 
 def write_total_reflectance(bsdf: xr.Dataset, path: str | os.PathLike[str]) -> None:
     """Write the total reflectance at 8° that the BSDF integrates to, as a commented CSV of nm and fraction.
@@ -111,9 +114,20 @@ def write_lambert_gauss(
     )
     if azimuths is not None:
         title += "; NOT isotropic: the surface has a lay, each row holds for light from azimuth phi_i_deg alone, the first along the lay"
+    if model is not None and azimuths is None and representation(model).isotropic:
+        title += f"; {_colour_difference(fit, model)}"
     if "specular_reflectance" in frame:
         title += "; specular_reflectance: mirrored into one single direction, and not part of the fit"
     _write(frame, path, title, fit)
+
+
+def _colour_difference(fit: xr.Dataset, model: xr.Dataset) -> str:
+    """CIEDE2000 of the fit off the lobe, in words."""
+    from brdfpipe.exchange.fits.fitting import COLOUR_GEOMETRIES, delta_e_of_greys
+
+    size = delta_e_of_greys(nonspectral(model), representation(fit).evaluate)
+    beyond = f", ABOVE the limit of {_LARGEST_DELTA_E:g}: use the format of a table" if size > _LARGEST_DELTA_E else ""
+    return f"CIEDE2000 {size:.2f} of greys of both luminances at {', '.join(COLOUR_GEOMETRIES)}{beyond}"
 
 
 def _parameters(fit: xr.Dataset, model: xr.Dataset | None) -> pd.DataFrame:
