@@ -280,9 +280,10 @@ def test_a_roughness_spectrum_changes_coherent_light_and_halo_as_if_it_was_built
         4 * np.pi * float(bsdf["sigma"]) * 1e3 * np.cos(np.radians(incidence[0]))[:, None] / bsdf["wavelength"].values
     ) ** 2
     expected = g * np.hypot(*relative)
-    # Between rings the spectrum is a power: a band of two steep rings holds 4 to 7 % less than their sum, one of many as much; with `auto` the coherent
-    # light loses what is scattered above the horizon alone.
-    np.testing.assert_allclose(np.sqrt(np.square(differences).sum(axis=0)), expected, rtol=0.06)
+    # Between rings the spectrum is a power: the band holds 4.3 % less than the sum of its rings. With `auto` coherent light loses what is scattered in
+    # first order above the horizon, here 0.5 % less than g.
+    tolerance = {"wave": 0.05, "auto": 0.06}[optics]
+    np.testing.assert_allclose(np.sqrt(np.square(differences).sum(axis=0)), expected, rtol=tolerance)
     # All light that is not coherent is in the halo.
     halo = [one.evaluate(np.zeros(1), np.zeros(1), np.array([3.0]), np.zeros(1), None) for one in changes.changed]
     assert (

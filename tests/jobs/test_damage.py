@@ -34,6 +34,8 @@ FORMS = f"exports: [{', '.join(WRITTEN)}]\n"
 TEMPLATES = {
     "t-map": f"{SCAN}, scans: [{{file: further.txt}}]}}\nindex: 1.5\n{COLOUR}{FORMS}",
     "t-sheet": f"{SCAN}}}\nindex: 1.5\nslab: {{thickness: 2, back: {{file: further.txt, unit: um, pitch: 1}}}}\n{FORMS}",
+    "t-gloss": f"surface: {{distribution: measured-gloss}}\nmeasured: {{gloss: {{20: 3.1, 60: 22.4, 85: 48}}}}\nindex: 1.5\n{COLOUR}",
+    "t-coat": f"{SCAN}}}\nindex: 1.5\n{COLOUR}coat: {{thickness: 0.04, base: {{index: {{file: raw.txt}}, surface: {{file: further.txt, unit: um, pitch: 1}}}}}}\n",
     "t-paint": "multiangle: {colours: [{geometry: '45:-30', lab: [40, 0, 0]}, {geometry: '45:0', lab: [20, 0, 0]}, "
     "{geometry: '45:65', lab: [9, 0, 0]}], illuminant: D65, observer: 10, model: flake}\n",
     "t-table": "table: {file: raw.txt, format: zemax}\n",
