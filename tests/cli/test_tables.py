@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -153,7 +154,7 @@ def test_formats_lists_every_format_and_what_it_reads_and_writes() -> None:
     lines = listed.splitlines()
     integra = lines[next(k for k, line in enumerate(lines) if line.startswith("integra: ")) :]
     assert integra[1].split() == ["written:", ".ddr", ".sdr", ".ddt", ".sdt"]
-    assert integra[2].split() == ["read:", ".ddr", ".ddt"]
+    assert integra[2].split() == ["read:", ".ddr", ".ddt", ".sdr", ".sdt"]
     assert "colour=bw" in integra[3]
 
 
@@ -165,7 +166,8 @@ def test_a_file_is_never_replaced_by_its_own_conversion(saved: Path) -> None:
     assert saved.read_bytes() == before
 
 
-def test_a_file_that_is_only_written_says_so(saved: Path, tmp_path: Path) -> None:
+def test_a_file_that_is_only_written_says_so(saved: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     found = run("convert", saved, tmp_path / "a.mtlx", "--option", "largest_error=2")
     assert found.exit_code == 0, found.output
+    monkeypatch.setitem(FORMATS, "openpbr", replace(FORMATS["openpbr"], read=""))
     assert "files of openpbr are written, not read" in run("compare", saved, tmp_path / "a.mtlx").output
