@@ -57,6 +57,7 @@ class InputError(BrdfpipeError):
     found, accepted : the value, and the accepted values
     key : the key of ``material.yaml`` to set
     option : what to give on the command line, where that is the door and not ``material.yaml``
+    origin : where the value of the key stands, if not in ``material.yaml``, as ``catalogue.yaml, line 5``
     others : messages on further problems of the same file, which the message does not repeat
     """
 
@@ -70,6 +71,7 @@ class InputError(BrdfpipeError):
         accepted: str | None = None,
         key: str | None = None,
         option: str | None = None,
+        origin: str | None = None,
         others: Sequence[str] = (),
     ) -> None:
         self.file = PurePath(file).name or str(file) or "."
@@ -79,6 +81,7 @@ class InputError(BrdfpipeError):
         self.accepted = accepted
         self.key = key
         self.option = option
+        self.origin = origin
         self.others = tuple(others)
         message = f"{self.file}, {where}: {problem}" if where else f"{self.file}: {problem}"
         if found is not None:
@@ -89,6 +92,8 @@ class InputError(BrdfpipeError):
             message += f"; give {option}"
         elif key is not None:
             message += f"; set `{key}` in material.yaml"
+        if option is None and origin is not None:
+            message += f"; the present value is that of {origin}"
         super().__init__(printable(message))
 
     def __reduce__(self) -> tuple[object, ...]:
@@ -108,8 +113,13 @@ class InputError(BrdfpipeError):
         }
         return InputError(self.file, self.problem, **(self._named() | renamed))
 
+    def with_origin(self, origins: Mapping[str, str]) -> InputError:
+        """The same error with the place of the value that it is about; ``origins`` is key → place, of keys that stand in another file."""
+        found = (origins[key] for key in (self.key, self.where) if key is not None and key in origins)
+        return InputError(self.file, self.problem, **(self._named() | {"origin": next(found, self.origin)}))
+
     def _named(self) -> dict[str, Any]:
-        names = ("where", "found", "accepted", "key", "option", "others")
+        names = ("where", "found", "accepted", "key", "option", "origin", "others")
         return {name: getattr(self, name) for name in names}
 
 
@@ -120,3 +130,12 @@ def naming_key(own: str, key: str) -> Iterator[None]:
         yield
     except InputError as refusal:
         raise refusal.with_key(key, own) from None
+
+
+@contextmanager
+def naming_origin(origins: Mapping[str, str]) -> Iterator[None]:
+    """Name the file and the line of a value in errors about it; ``origins`` as of :meth:`InputError.with_origin`."""
+    try:
+        yield
+    except InputError as refusal:
+        raise (refusal.with_origin(origins) if origins else refusal) from None

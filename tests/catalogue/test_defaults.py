@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import contextlib
+import pickle
 from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
 
-from brdfpipe import catalogue
+from brdfpipe import catalogue, installation
 from brdfpipe.catalogue.default_keys import SpectrumDefaults, SurfaceDefaults
 from brdfpipe.catalogue.defaults import load_defaults
 from brdfpipe.catalogue.material_keys import Colour, MeasuredSpectrum, MeasuredSurface, SpectrumOfPair, SpectrumPair
 from brdfpipe.catalogue.raw_reading import describe_files
 from brdfpipe.cli.main import main
 from brdfpipe.errors import InputError
+from brdfpipe.jobs.stage import Job, perform
 from brdfpipe.report.material.page import material_page
 from brdfpipe.spectra.ingestion import ingest
 from brdfpipe.stages import STAGES, Subject
@@ -303,3 +306,28 @@ def test_a_file_whose_format_has_a_scale_inherits_none(tmp_path: Path) -> None:
         (tmp_path / name / own.split()[1].rstrip(",")).write_text("x")
     scales = {name: item.content["spectrum"].get("scale") for name, item in catalogue.load(tmp_path).by_name.items()}
     assert scales == {"m": None, "n": "percent", "o": None}
+
+
+@pytest.mark.parametrize("pair", [False, True])
+def test_a_refusal_of_a_file_names_the_line_of_an_inherited_value(tmp_path: Path, pair: bool) -> None:
+    block = "{sci: {file: a.txt}, sce: {file: a.txt}}" if pair else "{file: a.txt, geometry: sci}"
+    folder = write(tmp_path, "exports: []\nspectrum:\n  scale: fraction\n", m=f"spectrum: {block}\n")
+    (folder / "m" / "a.txt").write_text("".join(f"{nm} 40\n" for nm in range(400, 701, 10)))
+    key = "spectrum.sci.scale" if pair else "spectrum.scale"
+    expected = f"set `{key}` in material.yaml; the present value is that of catalogue.yaml, line 3"
+    loaded = catalogue.load(folder)
+    with pytest.raises(InputError) as by_check:
+        describe_files(loaded, loaded["m"])
+    assert str(by_check.value).endswith(expected)
+    assert pickle.loads(pickle.dumps(by_check.value)).args == by_check.value.args
+    inputs = {"raw": str(folder / "m" / "a.txt")} | ({"excluded": str(folder / "m" / "a.txt")} if pair else {})
+    script = str(installation.project_folder() / "workflow" / "scripts" / "spectrum.py")
+    output, spec = {"spectrum": "m/spectrum.nc"}, loaded.spec("m", "spectrum")
+    job = Job("spectrum", "m", script, str(tmp_path), inputs, output, spec, inherited=loaded["m"].inherited)
+    with contextlib.chdir(tmp_path):
+        assert perform(job).error == str(by_check.value)
+    own = block.replace("file: a.txt", "file: a.txt, scale: fraction")
+    (folder / "m" / "material.yaml").write_text(f"spectrum: {own}\n")
+    loaded = catalogue.load(folder)
+    with pytest.raises(InputError, match=r"`spectrum\.(sci\.)?scale` in material\.yaml$"):
+        describe_files(loaded, loaded["m"])

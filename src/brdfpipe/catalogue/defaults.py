@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Set
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -162,7 +162,7 @@ def refuse_scene_outside(path: Path, scene: str, catalogue: Path) -> None:
         raise InputError(path, "leads outside the catalogue", where="scene", found=found, accepted=accepted)
 
 
-def origins(content: Mapping[str, Any], written: Mapping[str, Any], inherited: frozenset[str]) -> list[list[str]]:
+def origins(content: Mapping[str, Any], written: Mapping[str, Any], inherited: Set[str]) -> list[list[str]]:
     """Key, value and origin of everything that a description says or leaves to others, in the order of the keys.
 
     Parameters

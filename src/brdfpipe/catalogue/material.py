@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -45,8 +45,8 @@ class Material:
     """What its results are for."""
     origins: Sequence[Sequence[str]] = ()
     """Key, value and origin of all that the description says, inherits or leaves to defaults."""
-    inherited: frozenset[str] = frozenset()
-    """Keys that the catalogue gives."""
+    inherited: Mapping[str, str] = field(default_factory=dict)
+    """Keys that the catalogue gives → where, as ``catalogue.yaml, line 5``."""
 
     def has(self, part: str) -> bool:
         """Whether the description has a part: surface, index, spectrum, multiangle, table, slab, coat, back or base (a face of its own), or what a
@@ -94,11 +94,11 @@ def load_material(
     if "rig" in content:
         files["rig"] = documents.file_beside(path, *run_file(content["rig"], "rig."), "the material's folder")
     known_scene = scene or _scene_of(path, content, {**config, **defaults.content})
-    inherited = {} if found.inherited is None else found.inherited.values
-    keys = frozenset(".".join(map(str, key)) for key in inherited)
-    stated = [row for row in origins(content, found.written, keys) if row[0] != "scene"]
+    lines = {} if found.inherited is None else found.inherited.lines
+    inherited = {".".join(map(str, key)): f"{DEFAULTS}, line {line}" for key, line in lines.items()}
+    stated = [row for row in origins(content, found.written, inherited.keys()) if row[0] != "scene"]
     stated.append(["scene", known_scene.name, _origin_of_scene(scene, content, defaults)])
-    return Material(name, folder, content, files, known_scene, stated, keys)
+    return Material(name, folder, content, files, known_scene, stated, inherited)
 
 
 def _origin_of_scene(given: Scene | None, content: Mapping[str, Any], defaults: Defaults) -> str:

@@ -13,7 +13,7 @@ from brdfpipe import vocabulary
 from brdfpipe.catalogue.catalogue import Catalogue
 from brdfpipe.catalogue.format_checks import check_flakes
 from brdfpipe.catalogue.material import BASE_INDEX, OTHER_FACES, Material
-from brdfpipe.errors import BrdfpipeError, InputError, abbreviated, naming_key, shortened
+from brdfpipe.errors import BrdfpipeError, InputError, abbreviated, naming_key, naming_origin, shortened
 from brdfpipe.stages import STAGES, Subject
 
 _READ_BY = {"table": "imported"}
@@ -32,6 +32,11 @@ def describe_files(catalogue: Catalogue, material: Material) -> list[str]:
     ------
     InputError : the first file that the build will refuse; scans that it will refuse to count together.
     """
+    with naming_origin(material.inherited):
+        return _described(catalogue, material)
+
+
+def _described(catalogue: Catalogue, material: Material) -> list[str]:
     lines: list[str] = []
     scans: list[xr.Dataset] = []
     for part, path in material.files.items():

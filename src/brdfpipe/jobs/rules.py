@@ -327,6 +327,7 @@ class Pipeline:
             input={name: self._as_planned(_existing(value)) for name, value in input.items() if value},
             output={name: _existing(value) for name, value in output.items() if value},
             spec=json.loads(params.spec),
+            inherited=self._inherited(wildcards),
             most_seconds=limits.get("seconds"),
             most_memory=limits.get("memory"),
         )
@@ -343,6 +344,11 @@ class Pipeline:
         if index.inputs(inputs) == read:  # a file that changed meanwhile is read again by the next build
             beside = _files_below(Path(outputs[0]).parent) if stage.fills_folder else _present(stage, wildcards)
             index.finish(digest_of(params.spec), self._code[rule], read, list(dict.fromkeys([*outputs, *beside])))
+
+    def _inherited(self, wildcards: Any) -> Mapping[str, str]:
+        """Keys of the material of a job that stand in ``catalogue.yaml``; none of a calibration or the catalogue."""
+        material = self.catalogue.by_name.get(wildcards.get("material", ""))
+        return material.inherited if material is not None else {}
 
     def _as_planned(self, files: Any) -> Any:
         """Input files, those of :attr:`current` by their paths in the results."""

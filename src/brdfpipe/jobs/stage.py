@@ -12,14 +12,14 @@ import traceback
 import warnings
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 from brdfpipe import store
 from brdfpipe.catalogue.names import CALIBRATIONS
-from brdfpipe.errors import BrdfpipeError
+from brdfpipe.errors import BrdfpipeError, naming_origin
 from brdfpipe.scenes.scene import parts_within_scene
 
 Files = Mapping[str, Any]
@@ -41,6 +41,8 @@ class Job:
     input: Files
     output: Files
     spec: Mapping[str, Any]
+    inherited: Mapping[str, str] = field(default_factory=dict)
+    """Keys of the description that stand in another file → its name and line, for messages alone: a moved line changes no result."""
     scene: str = ""
     """Folder of a scene in the results, with a slash at its end; empty for the default scene and for what all scenes share."""
     most_seconds: float | None = None
@@ -95,7 +97,12 @@ def perform(job: Job) -> Outcome:
                 warnings.simplefilter("always")
                 for path in _paths(job.output):
                     Path(path).parent.mkdir(parents=True, exist_ok=True)
-                with store.owners_checked(_owner), store.remembering(), _limited_memory(job.most_memory):
+                with (
+                    store.owners_checked(_owner),
+                    store.remembering(),
+                    _limited_memory(job.most_memory),
+                    naming_origin(job.inherited),
+                ):
                     main_of(job.script)(job.input, job.output, job.params)
         except BrdfpipeError as refusal:
             error, damaged = " ".join(str(refusal).split()), _damaged(refusal, job)
