@@ -108,3 +108,8 @@ def test_a_glossy_lobe_has_its_height() -> None:
     peaks = [float(bsdf.bsdf.evaluate(angle, 180, angle, 0).max()) for angle in (0.0, 30.0, 60.0)]
     top = float(summaries.plot(bsdf)[1].split("┤")[0])
     assert top == pytest.approx(max(peaks), rel=0.02)
+
+
+def test_the_azimuth_of_a_lay_is_shown_as_on_the_page() -> None:
+    facets = xr.Dataset({"lay": ((), -89.3, {"units": "degree"})}, attrs={"kind": "facets"})
+    assert summaries.of_dataset(facets)["lay"]["value"] == pytest.approx(90.7)

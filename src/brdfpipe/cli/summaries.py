@@ -147,7 +147,8 @@ def of_dataset(dataset: xr.Dataset) -> dict[str, Any]:
         found["sizes"] = {str(name): int(size) for name, size in dataset.sizes.items()}
         scalars = [(name, value) for name, value in dataset.data_vars.items() if value.ndim == 0]
         for name, value in scalars[:_MOST_SCALARS]:
-            number = value.item()
+            # An axis is that of the page, from 0 to 180 degrees.
+            number = round(value.item() % 180, 9) % 180 if name == "lay" else value.item()
             if not (isinstance(number, float) and math.isnan(number)):
                 found[str(name)] = (
                     {"value": number, "unit": value.attrs.get("units", "")}

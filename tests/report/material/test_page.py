@@ -17,6 +17,7 @@ from PIL import Image
 
 from brdfpipe import flakes, optics, vocabulary
 from brdfpipe.appearance import compute_appearance
+from brdfpipe.appearance.quantities import quantity
 from brdfpipe.appearance.verdicts import overall, stage_warnings, verdicts
 from brdfpipe.bsdf import flake, microfacet
 from brdfpipe.exchange.registry import FORMATS, Format
@@ -787,3 +788,9 @@ def test_a_warning_of_a_prediction_is_marked(full: Datasets, on_rig: xr.Dataset)
     measured = {**full, "bsdf": on_rig, "predicted": full["bsdf"]}
     assert "spectrum (of the prediction)" in {entry.name for entry in verdicts(measured)}
     assert "spectrum" in {entry.name for entry in verdicts(full)}
+
+
+def test_the_page_says_why_there_is_no_flop_index(full: Datasets) -> None:
+    page = material_page(full)
+    assert quantity("flop_index").exclusion(full)
+    assert "No flop index. The flop index is for paints with effect pigments" in page

@@ -37,8 +37,11 @@ def test_pitch_least_cutoff_wavelength_and_chosen_filters_are_marked() -> None:
     clean = heights(gaussian(0.1, 8.0), (256, 256), (1.0, 1.0), 3)
     noisy = samples.surface(clean + np.random.default_rng(4).normal(scale=0.01, size=clean.shape))
     psd = estimate(noisy)
+    assert "half a wavelength of light" in [label for _, _, label in slope_by_cutoff(psd, noisy).legend], "of any pitch"
     entries = [label for _, _, label in slope_by_cutoff(psd, noisy.assign_attrs(lambda_s=9.0)).legend]
-    assert {"surface", "with noise", "pitch", "4 pitches, the least λs", "λs in use"} <= {*entries}
+    assert {"half a wavelength of light", "surface", "with noise", "pitch", "4 pitches, the least λs", "λs in use"} <= {
+        *entries
+    }
     titles = [figure.title for figure in roughness_section({"psd": psd, "surface": noisy}).figures]
     assert titles == ["Roughness spectrum", "Slopes by cutoff"]
     assert [figure.title for figure in roughness_section({"psd": psd}).figures] == ["Roughness spectrum"]

@@ -50,6 +50,8 @@ def _lab_notes(datasets: Mapping[str, xr.Dataset], appearance: xr.Dataset, geome
     if math.isfinite(value := flop.value(datasets)):
         u = float(appearance.get("flop_index_u", math.nan))
         notes.append(f"{flop.label} {fixed(value, flop.decimals)} {plus_minus_u(u)}".rstrip() + ".")
+    elif reason := flop.exclusion(datasets):
+        notes.append(f"No {flop.label.lower()}. {reason}")
     if "lab_u" in appearance and "angle_tolerance" in appearance.attrs:
         included = "lab_u_source" in appearance
         others = "from the inputs of the BRDF, its model, and" if included else "from"

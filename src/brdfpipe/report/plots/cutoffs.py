@@ -42,7 +42,7 @@ def slope_by_cutoff(psd: xr.Dataset, surface: xr.Dataset) -> Figure:
     """
     pitch = max(float(surface.attrs[name]) for name in ("pitch_x", "pitch_y") if name in surface.attrs)
     frequency = psd["frequency"].values
-    start, end = min(pitch, WAVELENGTH) / 2, 1 / float(frequency[0])
+    start, end = min(pitch, WAVELENGTH / 2) / 2, 1 / float(frequency[0])
     cutoff = np.geomspace(start, end, _CUTOFFS)
     slopes = slope_rms_behind(frequency, psd["psd"].values, cutoff)
     marks: list[Mark] = [Line(cutoff, slopes, "c0", "surface")]
