@@ -56,6 +56,12 @@ def main(input, output, params):
     for value in output.values():
         for path in [value] if isinstance(value, str) else value:
             Path(path).write_text(content)
+    if "export" in output:
+        from brdfpipe.exchange.registry import FORMATS
+        folder = Path(output["export"]).parent / "exports"
+        folder.mkdir(exist_ok=True)
+        for suffix in FORMATS[params["spec"]["format"]].suffixes(params["spec"]["side"]):
+            (folder / (params["material"] + suffix)).write_text(content)
 '''
 
 

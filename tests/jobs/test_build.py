@@ -78,7 +78,8 @@ def test_the_verdict_of_a_named_material_is_that_of_its_own_row(folder: Path, pr
     (project / "workflow" / "scripts" / "summary.py").write_text(
         "import xarray as xr\n"
         "def main(input, output, params):\n"
-        "    row = {'verdict': ('material', ['fail']), 'verdict_text': ('material', ['too bright'])}\n"
+        "    row = {'verdict': 'fail', 'verdict_text': 'too bright', 'refused_exports': ''}\n"
+        "    row = {name: ('material', [text]) for name, text in row.items()}\n"
         "    xr.Dataset(row).to_netcdf(output['summary'])\n"
     )
     results.mkdir()
@@ -313,9 +314,13 @@ def test_changing_a_stages_code_reruns_that_stage(folder: Path, results: Path, p
     script.write_text(script.read_text() + "\nCHANGED = 1\n")
     build(folder, results)
     assert {name for name in rewritten(before, times(results)) if "/" in name} == {
-        f"{name}/exports/{name}.{kind}"
+        f"{name}/{file}"
         for name in ("first", "second")
-        for kind in ("astm", "astm.json", "total_reflectance.csv")
+        for file in (
+            "export_astm.nc",
+            *(f"exports/{name}.{kind}" for kind in ("astm", "astm.json", "total_reflectance.csv")),
+            *("report.html", "summary.nc"),  # which state the error of the files, and refusals
+        )
     }
 
 
