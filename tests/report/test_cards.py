@@ -18,6 +18,7 @@ from brdfpipe.report.cards import Table
             True,
         ),
         (("Incidence", *"abcdefghi"), ("0°", *["100 %"] * 9), True),
+        (("Files", "Error"), ("grain.parameters.json", 900 * "x"), False),
     ],
 )
 def test_a_table_of_many_or_long_columns_is_as_wide_as_the_page(

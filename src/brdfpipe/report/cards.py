@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from brdfpipe.appearance.verdicts import Verdict
 from brdfpipe.report.plots.svg import Figure
 
-WORDS = ("Definition", "Description", "Of")
+WORDS = ("Definition", "Description", "Error", "Not in the file", "Of")
 """Titles of columns of sentences, which are broken into lines."""
 
 _HALF_PAGE, _GAP = 70, 2

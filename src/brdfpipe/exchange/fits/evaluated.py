@@ -23,7 +23,7 @@ Evaluate = Callable[[Array, Array, Array, Array], Array]
 LARGEST_INDEX = 10.0
 _WIDEST_ANGLE = 89.5
 _STEPS_OF_LOBE, _STEPS_OF_BODY = 180, 45
-"""Nodes of the half vector: by the width of the lobe, and even. With those below, lobes of width 0.06 to 0.3 are within 1.5 % at the 95th percentile."""
+"""Nodes of the half vector: by the width of the lobe, and even. A bare lobe of GGX of width 0.06 then errs by 2.0 % at the 95th percentile, of 0.3 by 1.2 %."""
 _THETA_D = _WIDEST_ANGLE * np.sin(np.pi / 2 * np.linspace(0, 1, 45))
 """Dense towards grazing incidence [degree]."""
 _PHI_D = np.linspace(0.0, 180.0, 25)
