@@ -567,7 +567,7 @@ def test_each_stage_has_its_part_of_the_description_as_parameters(tmp_path: Path
         "index": {"index": "PP"},
         "spectrum": {"file": "a.txt", "geometry": "sci", "allow_fluorescent": False},
         "predicted": {"masking": "auto", "diffuse": "coupled", "multiple_scattering": "auto"},
-        "report": {"description": "d", "exports": []},
+        "report": {"description": "d"},
     }
 
 
