@@ -118,6 +118,26 @@ def test_a_rough_surface_of_low_slopes_reflects_as_its_facets(optics):
 
 
 @pytest.mark.parametrize(
+    ("sigma", "length", "error"),
+    [
+        (1.0, 20.0, 0.002),
+        pytest.param(0.12, 5.0, 1e-4, marks=pytest.mark.slow),
+        pytest.param(0.3, 3.0, 0.0005, marks=pytest.mark.slow),
+        pytest.param(3.0, 60.0, 0.004, marks=pytest.mark.slow),
+    ],
+)
+def test_the_albedo_is_the_integral_of_the_brdf_up_to_grazing(sigma, length, error):
+    model, nm = representation(rough(sigma, length)), np.array([550.0])
+    for theta in (60.0, 80.0, 83.5, 85.7, 87.0, 88.2, 89.0, 89.3, 89.7, 89.86, 89.97):
+        at = np.array([theta]), np.zeros(1), nm
+        rule = hemisphere.around_mirror(theta, model.lobe_slope, order=16, turns=48)
+        angles = np.full_like(rule.theta, theta), np.zeros_like(rule.theta), rule.theta, rule.phi
+        returned = rule.weight @ model.evaluate(*angles, nm) + model.specular(*at)[0]
+        # What docs/limits.md states.
+        assert model.albedo(*at) == pytest.approx(returned, abs=error if theta < 89.9 else 3 * error)
+
+
+@pytest.mark.parametrize(
     ("sigma", "length"),
     [(0.12, 5.0), *(pytest.param(*each, marks=pytest.mark.slow) for each in ((0.01, 0.2), (0.1, 2.0)))],
 )

@@ -94,13 +94,15 @@ _MIDDLE = 0.55
 """Wavelength at which a surface is judged [um]."""
 _LEAST_SIGMA = 1e-9
 """Rms height below which a surface is as good as flat [um]."""
-_INCIDENCES, _LAY_INCIDENCES = 33, 33
+_INCIDENCES, _LAY_INCIDENCES = 49, 33
 """Angles of incidence at which the reflectance is integrated."""
+_NEARLY_GRAZING = 89.9999
+"""Incidence in place of 90° [degree], at which what the facets return of the light has reached its limit."""
 _TURNS, _LONG_LOBE = 12, 0.5
 """Azimuths about the mirror direction in half a turn, and the cosine of incidence below which it has twice as many: a lobe is 1/cos θ times as long there as wide."""
 _WAVELENGTHS, _LAY_WAVELENGTHS = 12, 6
 """Wavelengths at which the reflectance is integrated; over the others its ratio to Fresnel's is interpolated."""
-_ITERATIONS, _CLOSURES = 60, (0.02, 2.0)
+_ITERATIONS, _CLOSURES = 60, (1e-6, 2.0)
 """Of the factors that close the energy of the halo, and their limits."""
 _CLOSURE_ARCS = 12
 """Arcs of half a turn at which the energy of the halo of a surface with a lay is closed."""
@@ -502,20 +504,22 @@ def _with_albedo(bsdf: xr.Dataset, theta_m: float, psd: xr.Dataset) -> xr.Datase
         place = closure_place(np.cos(np.radians(table.theta)), theta.size)
         return np.asarray(CubicSpline(np.arange(theta.size), values)(place))
 
-    lost, phi = between(missing), np.zeros(1)
+    returned, phi = between(scattered), np.zeros(1)
     if lay := "phi_i" in bsdf.coords:
         phi = bsdf["phi_i"].values
-        lost = np.einsum("tal,pa->tpl", lost, _between_azimuths(azimuth_to_arc(ellipse_of(bsdf), phi), *_arcs(bsdf)))
+        of_arcs = _between_azimuths(azimuth_to_arc(ellipse_of(bsdf), phi), *_arcs(bsdf))
+        returned = np.einsum("tal,pa->tpl", returned, of_arcs)
+    smooth_reflects = table.values[:, None]
+    coherent = smooth_reflects * surface.coherent_share(table.theta[:, None], phi, wavelength)
+    lost = smooth_reflects - coherent - returned
     if closed:
         # At least half of what would enter a smooth surface enters this one.
-        smooth_reflects = table.values[:, None]
-        coherent = smooth_reflects * surface.coherent_share(table.theta[:, None], phi, wavelength)
         excess = np.clip(-lost - (1 - smooth_reflects) / 2, 0.0, coherent)
     else:
         # Facets may reflect more than a smooth surface; waves may not.
         of_waves = between(np.maximum(-missing.mean(axis=1, keepdims=True), 0.0) * waves[:, None])
         excess = np.broadcast_to(np.maximum(of_waves, 0.0), lost.shape)
-    values = np.clip(table.values[:, None] - lost - excess, 0.0, 1.0)
+    values = np.clip(smooth_reflects - lost - excess, 0.0, 1.0)
     if lay:
         albedo, dims = AlbedoTable(table.theta, values, phi, ellipse_of(bsdf)), ["theta_i", "phi_i"]
     else:
@@ -548,10 +552,11 @@ def _with_closure(
     few, directions = _few(wavelength, azimuths), _directions(bsdf, azimuths)
     # The reflectance is integrated at the same directions after this.
     surface = surface.prepared_for(2 * _count(directions, theta) * few.size)
+    integrated = np.minimum(theta, _NEARLY_GRAZING)
     first_order = np.zeros((theta.size, arcs.size, few.size))
     kernel = np.zeros((few.size, *first_order.shape[:2], first_order[..., 0].size))
     halos: list[list[_Lobe]] = []
-    for row, angle in enumerate(theta[theta < 90]):
+    for row, angle in enumerate(integrated):
         halos.append([])
         for number, (weight, angles) in enumerate(directions(float(angle))):
             halo = surface.halo_of_mirrors(angles, wavelength[few])
@@ -562,7 +567,7 @@ def _with_closure(
             for node, share in _closure_corners(bsdf, angles, theta.size, arcs.size):
                 for column, values in enumerate(light.T):
                     kernel[column, row, number] += np.bincount(node, values * share, minlength=kernel.shape[-1])
-    cosine, between_all = np.cos(np.radians(theta)), kernel.reshape(few.size, -1, kernel.shape[-1])
+    cosine, between_all = np.cos(np.radians(integrated)), kernel.reshape(few.size, -1, kernel.shape[-1])
     change = 4e3 * np.pi * cosine[:, None] / wavelength[few]
     loss = first_order * _height_variance(psd, float(bsdf["sigma"]), change)[:, None]
     target = -np.expm1(-loss)
@@ -573,13 +578,9 @@ def _with_closure(
 
     factor = np.ones_like(target)
     for _ in range(_ITERATIONS):
-        factor[:-1] *= np.sqrt(target[:-1] / np.maximum(returned(factor)[:-1], 1e-300))
-        factor[-1] = 2 * factor[-2] - factor[-3]
-        factor = np.clip(factor, *_CLOSURES)
+        factor = np.clip(factor * np.sqrt(target / np.maximum(returned(factor), 1e-300)), *_CLOSURES)
     left = np.abs(target - returned(factor)).max(axis=1)
-    # Both are 0 at 90°, where their ratio tends to a limit.
-    loss = loss[:-1] * (wavelength[few] * 1e-3) ** 2 / cosine[:-1, None, None]
-    loss = np.append(loss, loss[-1:], axis=0)
+    loss = loss * (wavelength[few] * 1e-3) ** 2 / cosine[:, None, None]
     bsdf = bsdf.assign_coords(closure_wavelength=wavelength[few], closure_incidence=theta)
     dims = ["closure_incidence", "closure_wavelength"]
     if lay:
@@ -689,7 +690,7 @@ def _scattered(
     calls = 1 if surface.closure is None else 2
     surface = surface.prepared_for(calls * _count(directions, theta) * few.size)
     result = np.zeros((theta.size, azimuths.size, few.size))
-    for row, angle in enumerate(theta[theta < 90]):
+    for row, angle in enumerate(np.minimum(theta, _NEARLY_GRAZING)):
         lobes = halos[row] if halos else [_Lobe(*rule) for rule in directions(float(angle))]
         for number, (weight, angles, halo) in enumerate(lobes):
             result[row, number] = weight @ surface.evaluate(angles, wavelength[few], n[few], k[few], halo=halo)
