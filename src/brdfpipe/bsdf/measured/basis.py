@@ -57,6 +57,12 @@ class PSpline:
         return cls(tuple(float(edge) for edge in edges), symmetric=symmetric)
 
     @cached_property
+    def orders(self) -> NDArray[np.int64]:
+        """(harmonics,) k of cos kφ, then without symmetry of sin kφ, in the order of the terms."""
+        cosines = np.arange(self.harmonics + 1)
+        return cosines if self.symmetric else np.concatenate([cosines, cosines[1:]])
+
+    @cached_property
     def harmonic(self) -> NDArray[np.int64]:
         """(terms,) k of the cos kφ or sin kφ in each function."""
         sizes = [self._radial(k, np.zeros(1)).shape[1] for k in range(self.harmonics + 1)]
@@ -79,17 +85,21 @@ class PSpline:
         t = np.arcsinh(np.asarray(theta) / self.scale)
         splines = {fine: self._splines(fine, t) for fine in (True, False)}
         total = _grazing(cosine) @ coefficient[-len(GRAZING) :] * even[:, None]
-        start = 0
-        for k, wave in self._harmonics(phi):
-            matrix = splines[k in FINE]
-            own = coefficient[start : start + matrix.shape[1] - max(min(k, 3), 1)]
-            start += len(own)
-            # As coefficients of all splines: the first two of k = 0 are one function, the first of others are left out.
-            own = (
-                np.concatenate([own[:1], own]) if k == 0 else np.concatenate([np.zeros((min(k, 3), own.shape[1])), own])
-            )
-            total += (matrix @ own) * (wave * (odd if k % 2 else even))[:, None]
+        for (k, wave), own in zip(self._harmonics(phi), self.of_all_splines(coefficient), strict=True):
+            total += (splines[k in FINE] @ own) * (wave * (odd if k % 2 else even))[:, None]
         return total
+
+    def of_all_splines(self, coefficient: Array) -> list[Array]:
+        """Coefficients (terms, …) of each harmonic, (splines, …), with those of the splines that it leaves out, which are 0."""
+        parts, start = [], 0
+        for k in self.orders.tolist():
+            left_out = min(max(k, 1), DEGREE)
+            own = coefficient[start : start + self.knots(k in FINE).size - DEGREE - 1 - left_out]
+            start += len(own)
+            # The first two splines of k = 0 are one function.
+            before = own[:1] if k == 0 else np.zeros((left_out, *own.shape[1:]))
+            parts.append(np.concatenate([before, own]))
+        return parts
 
     def roughness(self, theta: Array, phi: Array) -> Array:
         """Rows D (any, terms); the cells at ϑ and φ do not matter to this basis."""
@@ -108,12 +118,10 @@ class PSpline:
         return np.asarray(block_diag(*blocks, np.eye(len(GRAZING))))
 
     def _harmonics(self, phi: Array) -> Iterator[tuple[int, Array]]:
-        """k and cos kφ, then k and sin kφ without symmetry, in the order of the terms."""
+        """k, and cos kφ or sin kφ, of :attr:`orders`."""
         azimuth = np.radians(phi)
-        for k in range(self.harmonics + 1):
-            yield k, np.cos(k * azimuth)
-        for k in range(1, 1 if self.symmetric else self.harmonics + 1):
-            yield k, np.sin(k * azimuth)
+        for number, k in enumerate(self.orders.tolist()):
+            yield k, np.cos(k * azimuth) if number <= self.harmonics else np.sin(k * azimuth)
 
     def _radial(self, k: int, t: Array, derivative: int = 0) -> Array:
         return self._smooth_at_0(k, self._splines(k in FINE, t, derivative).toarray())

@@ -129,7 +129,7 @@ def interpolation_abscissa(theta_i: Array | float) -> Array:
 def path_directions(side: Side, theta_i: Array, theta_o: Array, phi: Array) -> list[PathDirection]:
     """The two directions of light along a path; the sum of their weights is 1. One direction if they are not averaged."""
     if side.incidence_error is None:
-        return [PathDirection(theta_i, theta_o, phi, np.ones(np.shape(theta_i))[()])]
+        return [PathDirection(theta_i, theta_o, phi, np.ones(np.shape(theta_i)))]
     forward, backward = (np.interp(theta, *side.incidence_error) ** 2 for theta in (theta_i, theta_o))
     weight = backward / (forward + backward)
     return [PathDirection(theta_i, theta_o, phi, weight), PathDirection(theta_o, theta_i, -phi, 1 - weight)]

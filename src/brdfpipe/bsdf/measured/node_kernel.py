@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from brdfpipe.bsdf.measured.basis import DEGREE, FINE, GRAZING, PSpline
+from brdfpipe.bsdf.measured.basis import FINE, GRAZING, PSpline
 from brdfpipe.compilation import compiled
 from brdfpipe.geometry import Array
 
@@ -46,7 +46,7 @@ class Nodes(NamedTuple):
     scale: float
     """Scale [degree] of t = asinh(ϑ/scale)"""
     knots: Array
-    """Of all splines, evenly spaced within a part or not"""
+    """Of the harmonics with all knots"""
     coarse_knots: Array
     """Of the harmonics with every second knot"""
     order: NDArray[np.int64]
@@ -67,21 +67,8 @@ class Nodes(NamedTuple):
     @classmethod
     def of(cls, side: Side, basis: PSpline, margin: float) -> Nodes:
         """Of a side with logarithms in P-splines; they exceed the values at cells by ``margin`` at most."""
-        order = np.concatenate(
-            [np.arange(basis.harmonics + 1), np.arange(1, 1 if basis.symmetric else basis.harmonics + 1)]
-        )
-        knots, coarse_knots = basis.knots(True), basis.knots(False)
-        fine = np.isin(order, FINE)
-        coefficient = np.swapaxes(side.coefficient, 1, 2)
-        parts, start = [], 0
-        for k, own in zip(order.tolist(), fine, strict=True):
-            size = (knots if own else coarse_knots).size - DEGREE - 1
-            left_out = min(max(k, 1), DEGREE)
-            part = coefficient[:, start : start + size - left_out]
-            start += size - left_out
-            # The first two splines of k = 0 are one function; the first of others are left out.
-            without = part[:, :1] if k == 0 else np.zeros((len(part), left_out, part.shape[2]))
-            parts.append(np.concatenate([without, part], axis=1))
+        parts = basis.of_all_splines(np.moveaxis(side.coefficient, -1, 0))
+        sizes = np.array([len(part) for part in parts])
         cosine = np.cos(np.radians(side.incidence))
         angle, error = side.incidence_error or (np.zeros(0), np.zeros(0))
         return cls(
@@ -90,16 +77,16 @@ class Nodes(NamedTuple):
             np.sin(np.radians(side.incidence)),
             np.cos(np.radians(side.horizon)),
             np.ascontiguousarray(side.abscissa),
-            np.ascontiguousarray(np.concatenate(parts, axis=1)),
-            np.ascontiguousarray(coefficient[:, start:]),
+            np.ascontiguousarray(np.moveaxis(np.concatenate(parts), 0, 1)),
+            np.ascontiguousarray(np.swapaxes(side.coefficient, 1, 2)[:, -len(GRAZING) :]),
             np.stack([side.lowest - margin, side.highest + margin], axis=-1),
             basis.scale,
-            knots,
-            coarse_knots,
-            order,
+            basis.knots(True),
+            basis.knots(False),
+            basis.orders,
             basis.harmonics + 1,
-            fine.astype(np.int64),
-            np.concatenate([[0], np.cumsum([part.shape[1] for part in parts])[:-1]]),
+            np.isin(basis.orders, FINE).astype(np.int64),
+            np.cumsum(sizes) - sizes,
             np.array(GRAZING),
             np.radians(angle),
             np.asarray(error, dtype=float),
