@@ -48,6 +48,17 @@ def test_check_prints_a_line_for_each_material(tmp_path: Path) -> None:
     assert count == "1 ok, 1 wrong"
 
 
+def test_check_names_exports_that_a_build_will_refuse(tmp_path: Path) -> None:
+    lay = "surface: {file: scan.csv, unit: um, pitch: 1, isotropic: false}\nindex: 1.5\n"
+    write(tmp_path, "brushed", lay + "exports: [klems, gltf]\n")
+    (tmp_path / "brushed" / "scan.csv").write_text("0,1\n1,0\n")
+    done, as_json = run("check", tmp_path), run("check", tmp_path, "--json")
+    assert done.exit_code == as_json.exit_code == 1
+    (reason,) = json.loads(as_json.stdout)["refused_exports"]["brushed"].values()
+    assert f"  export gltf will not be written: {reason}; change `exports`" in done.output.splitlines()
+    assert done.output.endswith("1 ok, 0 wrong, 1 export refused\n")
+
+
 def test_the_shipped_scenes_are_listed() -> None:
     lines = run("scenes").output.splitlines()
     assert lines[0].startswith("catalogue: ")

@@ -86,11 +86,13 @@ def build(
     summary = build_catalogue(
         catalogue, results, cores=cores or _cores(), config=config, scene=scene, names=names, dry_run=dry_run
     )
-    plain = json.dumps(summary.plain, indent=1, ensure_ascii=False)
-    click.echo(plain if as_json else printable(summary.text))
+    if as_json:
+        print_json(summary.plain)
+    else:
+        click.echo(printable(summary.text))
     code = 1 if summary.has_failed(fail_on) else 0
     if notify:
-        notification.notify(notify, plain)
+        notification.notify(notify, json.dumps(summary.plain, indent=1, ensure_ascii=False))
     return code
 
 
@@ -240,8 +242,10 @@ def diff(older: tuple[Path, ...], new: Path, as_json: bool, html: Path | None) -
             linked=html.name == CHANGES and (html.parent / "index.html").is_file(),
         )
         store.write_text(html, written)
-    text = json.dumps(words.plain(found), indent=1, ensure_ascii=False) if as_json else "\n".join(words.lines(found))
-    click.echo(text if as_json else printable(text))
+    if as_json:
+        print_json(words.plain(found))
+    else:
+        click.echo(printable("\n".join(words.lines(found))))
     return 0
 
 
