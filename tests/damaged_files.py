@@ -6,8 +6,10 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from brdfpipe.errors import InputError
+from brdfpipe.exchange.fits import evaluated
 from brdfpipe.exchange.reading import read
 
 
@@ -43,3 +45,10 @@ def check_garbled_files(content: bytes, path: Path, format: str, count: int) -> 
         assert np.isfinite(found["brdf"].values).all()
     # Those that end early, and most of those that lack a part.
     assert refused >= count / 4
+
+
+def check_garbled_models(monkeypatch: pytest.MonkeyPatch, content: bytes, path: Path, format: str, count: int) -> None:
+    """:func:`check_garbled_files` of a format whose models are evaluated when it is read, here in few directions."""
+    monkeypatch.setattr(evaluated, "_STEPS_OF_LOBE", 4)
+    monkeypatch.setattr(evaluated, "_THETA_D", np.array([0.0, 45, 89]))
+    check_garbled_files(content, path, format, count)
