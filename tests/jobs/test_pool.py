@@ -115,12 +115,19 @@ def test_a_refusal_is_one_line_and_the_job_is_not_repeated(tmp_path: Path, worke
 def test_of_several_failures_of_a_material_the_first_stage_by_name_is_recorded(
     tmp_path: Path, workers: pool.Pool
 ) -> None:
-    from dataclasses import replace
-
     refused = job(tmp_path, refuse=True)
     for stage in ("b", "a", "c"):
         workers.perform(replace(refused, title=stage))
     assert json.loads((tmp_path / "failures" / "m.json").read_text())["stage"] == "a"
+
+
+def test_a_job_that_succeeds_later_takes_back_its_own_failure_alone(tmp_path: Path, workers: pool.Pool) -> None:
+    record = tmp_path / "failures" / "m.json"
+    workers.perform(job(tmp_path, refuse=True))
+    workers.perform(replace(job(tmp_path), title="another"))
+    assert record.is_file()
+    workers.perform(job(tmp_path))
+    assert not record.exists()
 
 
 def test_the_log_has_warnings_prints_and_times(tmp_path: Path, workers: pool.Pool) -> None:

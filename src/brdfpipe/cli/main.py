@@ -213,7 +213,6 @@ def diff(older: tuple[Path, ...], new: Path, as_json: bool, html: Path | None) -
     For each material: the difference of its colour (ΔE00), gloss, BRDF and verdict, and the raw files, keys, versions
     of libraries or code that caused it.
     """
-    import json
 
     from brdfpipe import store
     from brdfpipe.catalogue.names import CHANGES

@@ -19,7 +19,7 @@ from pathlib import Path
 
 from brdfpipe.errors import BrdfpipeError
 from brdfpipe.jobs.index import shared_index
-from brdfpipe.jobs.stage import Job, Outcome, perform, record_failure
+from brdfpipe.jobs.stage import Job, Outcome, forget_failure, perform, record_failure
 
 ONE_THREAD = dict.fromkeys(
     ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS"), "1"
@@ -94,9 +94,12 @@ class Pool:
             break
         else:
             outcome = _crashed(job, died) if died.is_crash else _killed(died)
-        if outcome.error and not self._closed:
+        if not self._closed:
             with self._lock:
-                record_failure(job, outcome.error, outcome.damaged)
+                if outcome.error:
+                    record_failure(job, outcome.error, outcome.damaged)
+                else:
+                    forget_failure(job)
         return outcome
 
     def close(self) -> None:

@@ -187,9 +187,20 @@ def _without_folders(message: str, job: Job) -> str:
     return message.replace(f"{job.folder}/", "")
 
 
+def _failure_record(job: Job) -> Path:
+    return Path(job.folder, "failures", f"{job.material}.json")
+
+
+def forget_failure(job: Job) -> None:
+    """Delete the record of a job that failed before and has succeeded now, as on a cluster that tries a job again."""
+    path = _failure_record(job)
+    if path.is_file() and json.loads(path.read_text(encoding="utf-8"))["stage"] == job.title:
+        path.unlink()
+
+
 def record_failure(job: Job, message: str, damaged: tuple[str, ...] = ()) -> None:
     """Record a failed job for the build and the catalogue; if several jobs of a material fail, the alphabetically first one."""
-    path = Path(job.folder, "failures", f"{job.material}.json")
+    path = _failure_record(job)
     if path.is_file() and json.loads(path.read_text(encoding="utf-8"))["stage"] < job.title:
         return
     record: dict[str, Any] = {"material": job.material, "stage": job.title, "message": message}
