@@ -7,7 +7,7 @@ from brdfpipe.exchange.sidecar_tables import write_lambert_gauss
 def main(input, output, params):
     """The Lambert and Gauss parameters that fit a BRDF best; of a surface with a lay, for light along it."""
     spec, bsdf = params["spec"], store.shared_dataset(input["bsdf"], "bsdf")
-    along = (representation(bsdf).lay or 0.0) % 180  # an axis, as the page names it
+    along = representation(bsdf).lay or 0.0
     fit = store.save_dataset(
         fit_lambert_gauss(bsdf, spec["theta_i"], along),
         output["lambert_gauss"],

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Collection, Sequence
 from typing import ClassVar, NamedTuple, Self
@@ -183,8 +184,9 @@ class Representation(ABC):
 
     @property
     def lay(self) -> float | None:
-        """Azimuth along the lay of the surface [degree]; None if the surface is isotropic or the lay is unknown."""
-        return None if self.isotropic or "lay" not in self.dataset else float(self.dataset["lay"])
+        """Azimuth along the lay of the surface [degree], of an axis: from 0 to below 180; None if the surface is isotropic or the lay is unknown."""
+        lay = math.nan if self.isotropic else float(self.dataset.get("lay", math.nan))
+        return lay % 180 if math.isfinite(lay) else None
 
     @property
     def lobe_slope(self) -> float | None:

@@ -29,7 +29,7 @@ def properties(bsdf: xr.Dataset) -> dict[str, str]:
     sides = "reflection and transmission" if evaluator.transmits else "reflection"
     lay = "no lay"
     if not evaluator.isotropic:
-        lay = f"{float(bsdf['lay']):g}°" if "lay" in bsdf and np.isfinite(bsdf["lay"]) else "depends on the azimuth"
+        lay = "depends on the azimuth" if evaluator.lay is None else f"{round(evaluator.lay, 1):g}°"
     if bsdf.sizes.get("wavelength") and bsdf["wavelength"].ndim == 1:
         nm = bsdf["wavelength"].values
         spectral = f"{nm[0]:g} to {nm[-1]:g} nm, {nm.size} values"

@@ -268,9 +268,10 @@ class Wave(Representation):
 
     @property
     def lay(self) -> float | None:
-        if "halo_lay" not in self.dataset:
+        # Of the facets where there are some: theirs is the one that the page names.
+        if "lay" in self.dataset or "halo_lay" not in self.dataset:
             return super().lay
-        return (float(self.dataset["halo_lay"]) + 90) % 180 - 90
+        return float(self.dataset["halo_lay"]) % 180
 
     @cached_property
     def lobe_slope(self) -> float:

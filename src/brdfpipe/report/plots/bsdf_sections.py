@@ -49,11 +49,11 @@ def surface_words(bsdf: xr.Dataset | None) -> str:
 
 def planes(bsdf: xr.Dataset) -> list[Plane]:
     """The plane of incidence, or with a lay the one along it and the one across it."""
-    if representation(bsdf).isotropic:
+    evaluator = representation(bsdf)
+    if evaluator.isotropic:
         return [Plane(0.0, "")]
-    if "lay" not in bsdf or not np.isfinite(bsdf["lay"]):
+    if (lay := evaluator.lay) is None:
         return [Plane(0.0, "towards azimuth 0°"), Plane(90.0, "towards azimuth 90°")]
-    lay = float(bsdf["lay"])
     return [Plane(lay, "along the lay"), Plane(lay + 90, "across the lay")]
 
 

@@ -219,7 +219,8 @@ def _facet_polarisation(bsdf: xr.Dataset, theta_o: Array, turn: Array) -> Array:
 
 def _lay_turn(bsdf: xr.Dataset, plane: Plane) -> float | None:
     """Azimuth of the lay on the disc [degree]; None without a lay."""
-    return float(bsdf["lay"]) - plane.azimuth if plane.words and "lay" in bsdf else None
+    lay = representation(bsdf).lay
+    return None if lay is None or not plane.words else lay - plane.azimuth
 
 
 def _direction_marks(incidence: float, peak: float, lay: float | None) -> list[str]:
