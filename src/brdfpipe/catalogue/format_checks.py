@@ -68,7 +68,7 @@ def check_formats(material: Material) -> None:
                 key=f"{key}.format" if is_surface else f"{key}.file",
             )
         if is_surface:
-            check_readable(path, block.get("format"))
+            check_readable(path, block.get("format"), block)
     if material.has("index") and "index" not in material.files:
         refractive_index(content["index"])
     if material.has("coat") and "base_index" not in material.files:

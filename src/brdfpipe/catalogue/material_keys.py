@@ -112,6 +112,14 @@ class Region(Keys):
     y: Limits = key("from and to, from the lower edge of a map", example=[0, 500])
     unit: PixelsOrLength = _position_unit()
 
+    @model_validator(mode="after")
+    def _check_order(self) -> Self:
+        for name, limits in (("x", self.x), ("y", self.y)):
+            if limits is not None and limits[0] >= limits[1]:
+                problem, found = "the region ends where it begins, or before", f"{limits[0]:g} to {limits[1]:g}"
+                raise InputError("", problem, where=name, found=found, accepted="two rising numbers")
+        return self
+
 
 class MaskFile(Keys):
     """A picture of the points of a scan that do not count."""
@@ -292,6 +300,28 @@ class MeasuredSurface(Keys):
     def has_lay(self) -> bool:
         """Whether the description says that the facets have a lay; a map may show one without that."""
         return states_lay(self.isotropic, self.layout)
+
+    @model_validator(mode="after")
+    def _check_filters(self) -> Self:
+        if self.lambda_s is not None and self.lambda_c is not None and self.lambda_s >= self.lambda_c:
+            problem, accepted = (
+                "the high-pass filter is not above the low-pass filter",
+                f"above {self.lambda_s:g} um, `lambda_s`",
+            )
+            raise InputError("", problem, where="lambda_c", found=f"{self.lambda_c:g} um", accepted=accepted)
+        return self
+
+    @model_validator(mode="after")
+    def _check_layout(self) -> Self:
+        if self.is_line:
+            if self.mask is not None:
+                raise InputError("", "a mask needs a map", where="layout", found="line", accepted="`region` for lines")
+            if self.region is not None and self.region.y is not None:
+                raise InputError("", "a line has no y", where="region.y", found="layout line", accepted="x alone")
+        elif self.layout is not None and self.azimuth is not None:
+            problem = "`azimuth` applies to line profiles only"
+            raise InputError("", problem, where="azimuth", found=f"layout {self.layout}", accepted="layout line")
+        return self
 
     @model_validator(mode="after")
     def _check_line_profile(self) -> Self:
@@ -576,6 +606,13 @@ class MeasuredSpectrum(Keys):
             problem = "the column of `uncertainty` states it for each wavelength"
             where, accepted = "reflectance_uncertainty", "either `uncertainty` or `reflectance_uncertainty`"
             raise InputError("", problem, where=where, found=self.reflectance_uncertainty, accepted=accepted)
+        return self
+
+    @model_validator(mode="after")
+    def _check_trap(self) -> Self:
+        if self.specular_trap is not None and self.geometry == "sci":
+            problem = "a gloss trap needs a reflectance with the specular excluded"
+            raise InputError("", problem, where="specular_trap", found="geometry sci", accepted="geometry sce")
         return self
 
 

@@ -85,6 +85,9 @@ def build(
         stale = [] if dry_run else cleanup.mark_stale(results, catalogue, failed_materials)
         replaced = [] if dry_run else sorted(index.replaced)
     touched = {material for _, material in run.done}
+    if dry_run:
+        # Of what would run alone, so that a catalogue without changes costs nothing.
+        failed_materials |= failures.of_formats(catalogue, touched & catalogue.by_name.keys() - failed_materials.keys())
     built_materials = [name for name in catalogue.by_name if name in selected and name not in failed_materials]
     folders = {name: results / catalogue.scene_of(name).folder / name for name in built_materials}
     if names and not dry_run:

@@ -9,7 +9,9 @@ from collections.abc import Collection, Iterable, Mapping
 from pathlib import Path
 
 from brdfpipe.catalogue.catalogue import Catalogue
+from brdfpipe.catalogue.format_checks import check_formats
 from brdfpipe.catalogue.names import CALIBRATIONS
+from brdfpipe.errors import BrdfpipeError
 from brdfpipe.jobs.runs import planned_runs
 from brdfpipe.scenes.scene import FOLDER
 
@@ -70,6 +72,17 @@ def of_plans(catalogue: Catalogue) -> Failures:
         if owner in failures:
             failures |= {name: _needs(owner, failures[owner]) for name in names if name not in failures}
     return failures
+
+
+def of_formats(catalogue: Catalogue, names: Collection[str]) -> Failures:
+    """Materials whose description ``check`` refuses without reading their raw files; a build refuses them in a stage."""
+    refused: Failures = {}
+    for name in sorted(names):
+        try:
+            check_formats(catalogue[name])
+        except BrdfpipeError as error:
+            refused[name] = {"stage": "check", "message": str(error)}
+    return refused
 
 
 def of_vanished_files(catalogue: Catalogue, names: Collection[str]) -> Failures:

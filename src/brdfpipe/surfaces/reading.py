@@ -6,6 +6,7 @@ import os
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -23,6 +24,8 @@ FORMATS: dict[str, SurfaceFormat] = {
 }
 """Formats of surface files by name. To add one, write a module with ``FORMATS`` like :mod:`.x3p` and list it above."""
 
+_OPTIONS = frozenset(option for known in FORMATS.values() for option in known.options)
+"""Keys that apply to some formats."""
 
 OUTLIERS = ("report", "remove")
 """What is done with spikes; the first one is the default."""
@@ -71,15 +74,7 @@ def read_surface(
     path = Path(path)
     chosen = format_of(path, format, FORMATS, "surface.format")
     given = {name: value for name, value in options.items() if value is not None}
-    for name in given:
-        if name not in chosen.options:
-            raise InputError(
-                path,
-                "this key does not apply to the format of the file",
-                where=f"surface.{name}",
-                found=given[name],
-                accepted=", ".join(chosen.options) or "none; the file states units and pitch",
-            )
+    _check_options(path, chosen, given)
     heights = chosen.read(path, **given)
     if missing is not None:
         height, note = placeholders.as_missing(heights.height, missing, heights.unit)
@@ -166,10 +161,27 @@ def ingest(
     return surface.assign_attrs(azimuth=float(azimuth))
 
 
-def check_readable(path: str | os.PathLike[str], format: str | None = None) -> None:
-    """Check that the reader of a file is known and installed; read nothing.
+def check_readable(
+    path: str | os.PathLike[str], format: str | None = None, options: Mapping[str, Any] = MappingProxyType({})
+) -> None:
+    """Check that the reader of a file is known and installed, and takes the options of :func:`read_surface` among others; read nothing.
 
     Raises InputError: as :func:`read_surface`, or naming the command that installs the optional extra.
     """
-    if format_of(Path(path), format, FORMATS, "surface.format") in instruments.FORMATS:
+    chosen = format_of(Path(path), format, FORMATS, "surface.format")
+    given = {name: value for name, value in options.items() if name in _OPTIONS and value is not None}
+    _check_options(Path(path), chosen, given)
+    if chosen in instruments.FORMATS:
         instruments.check_installed(Path(path))
+
+
+def _check_options(path: Path, chosen: SurfaceFormat, given: Mapping[str, Any]) -> None:
+    for name in given:
+        if name not in chosen.options:
+            raise InputError(
+                path,
+                "this key does not apply to the format of the file",
+                where=f"surface.{name}",
+                found=given[name],
+                accepted=", ".join(chosen.options) or "none; the file states units and pitch",
+            )
