@@ -106,8 +106,7 @@ QUANTITIES: Mapping[str, Quantity] = {
     "tail_contribution": Quantity("1", "share of the counted mean square slope that the facets of the tail hold", 0, 1),
     "slope_rms_scale": Quantity("1", "root mean square slope against the distance it is taken over", 0, missing=True),
     "anisotropy": Quantity("1", "larger over smaller principal slope rms", 1, missing=True),
-    # An axis: datasets of facets have it from -90, summaries from 0 to 180.
-    "lay": Quantity("degree", "azimuth of the smaller principal slope rms", -90, 180, missing=True),
+    "lay": Quantity("degree", "azimuth of the smaller principal slope rms, of an axis", 0, 180, missing=True),
     "facet_count": Quantity("1", "number of facets", 0),
     "effective_count": Quantity("1", "number of independent facets", 0),
     "correlation_length": Quantity("um", "distance at which the height correlation falls to 1/e", 0, missing=True),

@@ -36,7 +36,7 @@ def test_any_ellipse_is_normalised_positive_and_has_its_azimuth(distribution, li
     assert (weight > 0).all()
     assert (table["lambda_smith"] >= 0).all()
     assert float(table["anisotropy"]) == pytest.approx(max(ratio, 1 / ratio))
-    assert -90 <= density.azimuth < 90
+    assert 0 <= density.azimuth < 180
     smaller = azimuth + (90 if ratio > 1 else 0)
     assert np.sin(np.radians(density.azimuth - smaller)) == pytest.approx(0, abs=1e-9)
 

@@ -63,10 +63,10 @@ def planar_dataset(density: PlanarDensity, slope_rms: float) -> xr.Dataset:
 
 
 def principal_ellipse(first: float, second: float, azimuth: float) -> Ellipse:
-    """The ellipse of two widths, towards an azimuth [degree] and across it: its lay runs along the smaller, in [-90, 90)."""
+    """The ellipse of two widths, towards an azimuth [degree] and across it: its lay runs along the smaller, in [0, 180)."""
     turned = 90 if first > second else 0
     # Rounded, so that 29.8 is not written as 29.80000000000001.
-    return Ellipse(min(first, second), max(first, second), round((azimuth + turned + 90) % 180 - 90, 9))
+    return Ellipse(min(first, second), max(first, second), round((azimuth + turned) % 180, 9) % 180)
 
 
 NOISE_ADVICE = (

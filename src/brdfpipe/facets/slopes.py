@@ -94,9 +94,9 @@ class Moments(NamedTuple):
 
     @property
     def lay(self) -> float:
-        """Azimuth of the smaller principal slope rms, an axis in [-90, 90) degree."""
+        """Azimuth of the smaller principal slope rms, an axis in [0, 180) degree."""
         x, y = np.linalg.eigh(self.covariance)[1][:, 0]
-        return float((np.degrees(np.arctan2(y, x)) + 90) % 180 - 90)
+        return float(np.degrees(np.arctan2(y, x)) % 180)
 
 
 FINE_BINS = 0x7F80

@@ -14,7 +14,7 @@ import xarray as xr
 from scipy.ndimage import map_coordinates
 
 from brdfpipe import appearance, facets, psd, store, vocabulary
-from brdfpipe.bsdf import wave
+from brdfpipe.bsdf import summary, wave
 from brdfpipe.bsdf.registry import representation
 from brdfpipe.bsdf.wave import height_transform
 from brdfpipe.bsdf.wave.builder import _directions
@@ -154,6 +154,15 @@ def test_every_check_of_a_surface_with_a_lay_passes(sigma, low_ridges):
     bsdf = low_ridges if sigma == 0.06 else with_lay(sigma)[0]
     checked = bsdf.bsdf.check()
     assert {verdict["verdict"] for verdict in json.loads(checked.attrs["verdicts"]).values()} == {"pass"}
+
+
+def test_the_lay_is_that_of_the_facets_everywhere(low_ridges):
+    lay = float(facets.estimate(ridges(0.06, seed=1))["lay"])
+    # The roughness spectrum has another, by half a degree.
+    assert float(low_ridges["halo_lay"]) != pytest.approx(lay, abs=0.1)
+    assert representation(low_ridges).lay == pytest.approx(lay, abs=1e-9)
+    assert float(appearance.compute_appearance(low_ridges, parts=("gloss",))["lay"]) == pytest.approx(lay, abs=1e-9)
+    assert summary.properties(low_ridges)["lay"] == f"{round(lay, 1):g}°"
 
 
 @pytest.mark.parametrize("theta", [70.0, 85.0, 88.5])
