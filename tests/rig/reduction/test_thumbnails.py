@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import array_shapes, arrays
 
@@ -46,6 +46,7 @@ def test_a_large_camera_gives_a_small_picture_of_means() -> None:
 
 
 @given(arrays(float, array_shapes(min_dims=2, max_dims=2, max_side=12), elements=st.floats(-1e9, 1e9)))
+@example(np.array([[-2.0, 1e-308]]))
 def test_the_brightest_part_of_any_picture_is_white(picture: np.ndarray) -> None:
     levels, decades = thumbnail(picture)
     assert levels.dtype == np.uint8

@@ -43,7 +43,7 @@ def thumbnail(picture: Array) -> Thumbnail:
     brightest = float(small.max(initial=0.0))
     if brightest <= 0:
         return Thumbnail(np.zeros(small.shape, dtype=np.uint8), DECADES[0])
-    logarithm = np.log10(np.maximum(small / brightest, 10.0 ** -DECADES[1]))
+    logarithm = np.log10(np.maximum(np.maximum(small, 0.0) / brightest, 10.0 ** -DECADES[1]))
     decades = float(np.clip(-np.percentile(logarithm, 25), *DECADES))
     return Thumbnail(np.asarray((255 * np.maximum(logarithm / decades + 1, 0)).round(), dtype=np.uint8), decades)
 
