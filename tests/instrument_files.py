@@ -173,6 +173,21 @@ def opd(height: np.ndarray) -> bytes:
     return b"\x01\x00" + head + b"".join(data for _, _, data in blocks)
 
 
+def metropro(height: np.ndarray) -> bytes:
+    """Of phase resolution 1: 32 768 counts a fringe. The format has no extension of its own."""
+    rows, columns = height.shape
+    wavelength, counts, head = 633e-9, 32768, bytearray(834)
+    for place, code, values in (
+        (0, ">4sHI", (b"\x88\x1b\x03\x6f", 1, 834)),
+        (64, ">4HI", (0, 0, columns, rows, 4 * height.size)),
+        (164, ">6f", (0.5, wavelength, 0, 1, 0, PITCH[0] * 1e-6)),
+        (218, ">h", (1,)),
+    ):
+        struct.pack_into(code, head, place, *values)
+    phase = np.round(height[::-1] * 1e-6 * counts / (0.5 * wavelength))
+    return bytes(head) + phase.astype(">i4").tobytes()
+
+
 def plu(height: np.ndarray) -> bytes:
     rows, columns = height.shape
     head = struct.pack("<128sI256s", b"Mon Jan 03 10:00:00 2011", 0, b"")

@@ -63,6 +63,26 @@ def test_of_a_plu_file_surfalize_reads_the_two_counts_as_the_first_heights(share
     np.testing.assert_array_equal(height.ravel()[2:], surface.height.values[::-1].ravel()[:-2])
 
 
+def test_of_a_metropro_file_surfalize_takes_an_eighth_of_the_counts_of_a_fringe(
+    tmp_path: Path, asymmetric: xr.Dataset
+) -> None:
+    """The file's own description has 32 768 counts a fringe at phase resolution 1; surfalize takes 4096."""
+    written = np.nan_to_num(asymmetric.height.values)
+    path = tmp_path / "map.dat"
+    path.write_bytes(instrument_files.metropro(written))
+    surface, (height, pitches) = read_surface(path, format="metropro"), second_opinion(path)
+    np.testing.assert_allclose(about_mean(surface.height.values), about_mean(written), atol=1e-5)
+    np.testing.assert_allclose(about_mean(height[::-1]), 8 * about_mean(written), atol=1e-4)
+    assert surface.attrs["pitch_x"] == pytest.approx(instrument_files.PITCH[0], rel=1e-6)
+
+
+def test_surfalize_does_not_read_the_real_opd_file(shared_data: Path) -> None:
+    path = shared_data / "surfaces" / "opd-1.opd"
+    assert read_surface(path).height.size > 0
+    with pytest.raises(ValueError, match="not a valid BlockType"):
+        second_opinion(path)
+
+
 def test_of_a_tmd_file_surfalize_takes_the_lengths_for_micrometres(shared_data: Path) -> None:
     path = shared_data / "surfaces" / "tmd-1.tmd"
     surface, (height, pitches) = read_surface(path, unit="um"), second_opinion(path)

@@ -53,17 +53,17 @@ _SECOND_READER = f"{UNCONFIRMED}; surfalize reads it so too"
 INSTRUMENTS: Mapping[str, Instrument] = {
     "al3d": Instrument("Alicona AL3D", (".al3d",), "al3d-1.al3d", "confirmed: the camera's picture in the file"),
     "datx": Instrument("Zygo DATX", (".datx",)),
-    "frt": Instrument("FRT MicroProf", (".frt",), "frt-1.frt, frt-2.frt"),
+    "frt": Instrument("FRT MicroProf", (".frt",), "frt-1.frt"),
     "gwy": Instrument("Gwyddion GWY", (".gwy",), "", "confirmed: Gwyddion defines it"),
     # .dat is text more often than not.
-    "metropro": Instrument("Zygo MetroPro DAT", (), "metropro-1.dat", _SECOND_READER),
+    "metropro": Instrument("Zygo MetroPro DAT", (), "metropro-1.dat, not in the tests", _SECOND_READER),
     "mitutoyo": Instrument("Mitutoyo SurfTest workbook", (".xlsx",), "mitutoyo_2_mock.xlsx", LINES),
-    "mnt": Instrument("Digital Surf MNT", (".mnt",), "mnt-1.mnt, mnt-2.mnt"),
+    "mnt": Instrument("Digital Surf MNT", (".mnt",), "mnt-1.mnt, mnt-2.mnt, not in the tests"),
     "nms": Instrument(
-        "NanoFocus NMS", (".nms",), "nms-1.nms, nms-2.nms", _SECOND_READER, options=("channel", "lateral_unit")
+        "NanoFocus NMS", (".nms",), "nms-2.nms", _SECOND_READER, options=("channel", "lateral_unit")
     ),
-    "opd": Instrument("Wyko OPD", (".opd",), "opd-1.opd", _SECOND_READER),
-    "opdx": Instrument("Bruker OPDx", (".opdx",), "opdx-3.opdx, a line"),
+    "opd": Instrument("Wyko OPD", (".opd",), "opd-1.opd"),
+    "opdx": Instrument("Bruker OPDx", (".opdx",), "opdx-3.opdx, a line, not in the tests"),
     "os3d": Instrument("OmniSurf3D OS3D", (".os3d",)),
     "plu": Instrument("Sensofar PLU", (".plu", ".apx"), "plu-1.plu", _SECOND_READER),
     "plux": Instrument("Sensofar PLUX", (".plux",), "", _SECOND_READER),
