@@ -538,6 +538,17 @@ def test_a_folder_that_looks_like_a_material_and_is_none_is_reported(
     assert catalogue.load(tmp_path).failures == {}
 
 
+@pytest.mark.parametrize("name", ["catalogue.yml", "Catalogue.yaml", "catalog.yaml", "catalogue.yaml.txt"])
+def test_misnamed_defaults_are_reported(tmp_path: Path, name: str) -> None:
+    write(tmp_path, "good")
+    (tmp_path / name).write_text("index: ABS\n")
+    assert catalogue.ignored(tmp_path) == {
+        name: "is not read; rename it to catalogue.yaml, whose keys all materials inherit"
+    }
+    (tmp_path / name).rename(tmp_path / "catalogue.yaml")
+    assert catalogue.ignored(tmp_path) == {}
+
+
 def test_other_folders_and_results_are_no_materials(tmp_path: Path) -> None:
     write(tmp_path, "good", a_csv="1 2")
     for file in ("notes/read.pdf", ".git/a.txt", "results/catalogue.csv", "results/catalogue.nc"):

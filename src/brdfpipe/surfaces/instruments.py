@@ -59,9 +59,7 @@ INSTRUMENTS: Mapping[str, Instrument] = {
     "metropro": Instrument("Zygo MetroPro DAT", (), "metropro-1.dat, not in the tests", _SECOND_READER),
     "mitutoyo": Instrument("Mitutoyo SurfTest workbook", (".xlsx",), "mitutoyo_2_mock.xlsx", LINES),
     "mnt": Instrument("Digital Surf MNT", (".mnt",), "mnt-1.mnt, mnt-2.mnt, not in the tests"),
-    "nms": Instrument(
-        "NanoFocus NMS", (".nms",), "nms-2.nms", _SECOND_READER, options=("channel", "lateral_unit")
-    ),
+    "nms": Instrument("NanoFocus NMS", (".nms",), "nms-2.nms", _SECOND_READER, options=("channel", "lateral_unit")),
     "opd": Instrument("Wyko OPD", (".opd",), "opd-1.opd"),
     "opdx": Instrument("Bruker OPDx", (".opdx",), "opdx-3.opdx, a line, not in the tests"),
     "os3d": Instrument("OmniSurf3D OS3D", (".os3d",)),
