@@ -70,7 +70,7 @@ def test_of_a_metropro_file_surfalize_takes_an_eighth_of_the_counts_of_a_fringe(
     written = np.nan_to_num(asymmetric.height.values)
     path = tmp_path / "map.dat"
     path.write_bytes(instrument_files.metropro(written))
-    surface, (height, pitches) = read_surface(path, format="metropro"), second_opinion(path)
+    surface, (height, _) = read_surface(path, format="metropro"), second_opinion(path)
     np.testing.assert_allclose(about_mean(surface.height.values), about_mean(written), atol=1e-5)
     np.testing.assert_allclose(about_mean(height[::-1]), 8 * about_mean(written), atol=1e-4)
     assert surface.attrs["pitch_x"] == pytest.approx(instrument_files.PITCH[0], rel=1e-6)
