@@ -11,10 +11,10 @@ import pytest
 import samples
 import xarray as xr
 
-from brdfpipe import optics, vocabulary
+from brdfpipe import optics, psd, vocabulary
 from brdfpipe.appearance import gloss
 from brdfpipe.appearance.colours import colour
-from brdfpipe.bsdf import microfacet
+from brdfpipe.bsdf import microfacet, wave
 from brdfpipe.comparison.reading_fit import with_fit
 from brdfpipe.comparison.readings import compare_readings
 from brdfpipe.facets import analytic
@@ -76,6 +76,29 @@ def test_readings_of_steeper_slopes_ask_for_them() -> None:
         "Diffuse scale",
         "Roughness finer than the scan",
     ]
+
+
+@pytest.mark.parametrize("sigma", [0.05, pytest.param(0.25, marks=pytest.mark.slow)])
+def test_readings_of_higher_waves_ask_for_larger_heights(sigma: float) -> None:
+    """A smooth surface, of which waves reflect all the light, and one of which facets reflect a part."""
+    index, spectrum, length = inputs()["index"], inputs()["spectrum"], 8.0
+
+    def of(factor: float) -> tuple[dict[str, xr.Dataset], xr.Dataset]:
+        found = {"facets": analytic("beckmann", 2 * sigma * factor / length), "index": index, "spectrum": spectrum}
+        heights = psd.analytic("gaussian", sigma=sigma * factor, length=length)
+        predicted = microfacet.build(**found)
+        bsdf = wave.build(heights, **found, predicted=predicted, optics="auto").assign_attrs(route="predicted")
+        return found | {"predicted": predicted, "psd": heights}, bsdf
+
+    given, bsdf = of(1.0)
+    assert bsdf.attrs["representation"] == "wave"
+    measured = read_of(of(1.15)[1])
+    result = with_fit(compare_readings(bsdf, measured), measured, bsdf, **given)
+    slope = result.sel(input="slope")
+    assert abs(float(slope["posterior"]) - 1.15) < 2 * float(slope["posterior_u"])
+    assert np.abs(result["z_adjusted"]).max() < 1 < 3 < np.abs(result["z"]).max()
+    without = with_fit(compare_readings(bsdf, measured), measured, bsdf, **{**given, "psd": None})
+    assert "no roughness spectrum" in sentences(without)
 
 
 def test_readings_of_a_film_ask_for_finer_roughness() -> None:

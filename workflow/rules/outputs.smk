@@ -59,7 +59,7 @@ use rule stage_template as appearance with:
 
 use rule stage_template as readings with:
     input:
-        **results_of("bsdf", "predicted", "facets", "index", "spectrum"),
+        **results_of("bsdf", "predicted", "facets", "psd", "index", "spectrum"),
     output:
         readings="{scene}{material}/readings.nc",
         csv="{scene}{material}/exports/{material}.readings.csv",

@@ -91,7 +91,7 @@ class PredictionInputs:
             diffuse=self.choices["diffuse_mode"],
             multiple_scattering=self.choices["multiple_scattering"],
         )
-        return _with_base(built, inputs["diffuse"])
+        return with_base(built, inputs["diffuse"])
 
     def shifted(self, n: xr.DataArray, by: float) -> xr.DataArray:
         """The real part of the index, shifted; without absorption not below that of air."""
@@ -103,7 +103,7 @@ def _at(dataset: xr.Dataset, wavelength: Array) -> xr.Dataset:
     return vocabulary.label(dataset.interp(wavelength=wavelength), dataset.attrs["kind"])
 
 
-def _with_base(bsdf: xr.Dataset, factor: float) -> xr.Dataset:
+def with_base(bsdf: xr.Dataset, factor: float) -> xr.Dataset:
     """A BSDF with the diffuse reflectance below the facets times a factor."""
     if factor == 1 or not bsdf["diffuse"].values.any():
         return bsdf

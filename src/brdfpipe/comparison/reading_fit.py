@@ -1,7 +1,7 @@
 """The doubtful inputs of a prediction with which it would agree with readings of instruments. Nothing applies them: they say where to look.
 
 ``index``    the refractive index, with the same shift at all wavelengths: n + Δ
-``slope``    the slopes of all facets, times a factor: a scan smooths, or is noisy
+``slope``    the slopes of all facets, and with waves all heights, times a factor: a scan smooths, or is noisy
 ``diffuse``  the diffuse reflectance below the facets, times a factor
 ``finer``    the mean square height of roughness finer than the scan [um²], which takes 1 − e^(−g), g = (4πσ cos θ/λ)², out of the lobe and scatters it so
              far that no receptor of gloss or haze sees it (Davies 1954)
@@ -28,6 +28,7 @@ from brdfpipe.comparison import findings
 from brdfpipe.comparison.measured_predicted import PRIOR_U
 from brdfpipe.comparison.prediction import NOMINAL, PredictionInputs
 from brdfpipe.comparison.readings import WARN_ABOVE, Reading, predicted_values, readings_of
+from brdfpipe.comparison.wave_prediction import WavePredictionInputs
 from brdfpipe.geometry import Array
 
 FINER_U = 0.03**2
@@ -44,6 +45,9 @@ _FACET_INCIDENCES = np.array([20.0, 60.0])
 _STEP = 0.05
 """Of an input for a derivative, in prior standard uncertainties."""
 
+_SAME_SLOPES = 0.3
+"""Change of the inputs for which derivatives count as the same, in prior standard uncertainties."""
+
 _LONGEST = 10.0
 """Largest change of an input, in prior standard uncertainties."""
 
@@ -52,7 +56,7 @@ _LONGEST = 10.0
 class _Model:
     """The readings as a function of the inputs."""
 
-    given: PredictionInputs
+    given: PredictionInputs | WavePredictionInputs
     readings: Sequence[Reading]
     prior_u: Mapping[str, float]
     base: Array
@@ -68,8 +72,8 @@ class _Model:
     def __call__(self, change: Array) -> Array:
         """Values of the readings."""
         inputs = self.inputs(change)
-        after, surface = self._of_facets(tuple(inputs[name] for name in NOMINAL))
-        before, _ = self._of_facets(tuple(NOMINAL.values()))
+        after, surface = self._rebuilt(tuple(inputs[name] for name in NOMINAL))
+        before, _ = self._rebuilt(tuple(NOMINAL.values()))
         loss = -np.expm1(-inputs["finer"] * self._phase_per_variance)
         after = after - loss * surface
         # What waves add to facets stays: a share of gloss and haze, a difference of a colour.
@@ -77,8 +81,8 @@ class _Model:
         ratio = np.divide(after, before, out=np.ones_like(after), where=before != 0)
         return np.where(of_gloss, self.base * ratio, self.base + after - before)
 
-    def _of_facets(self, inputs: tuple[float, ...]) -> tuple[Array, Array]:
-        """Values of the BSDF of facets with other inputs, and the part of gloss and haze that its surface reflects."""
+    def _rebuilt(self, inputs: tuple[float, ...]) -> tuple[Array, Array]:
+        """Values of the BSDF with other inputs, and the part of gloss and haze that its surface reflects."""
         if inputs not in self._known:
             bsdf = self.given.bsdf(dict(zip(NOMINAL, inputs, strict=True)))
             bare = representation(bsdf).without_diffuse()
@@ -103,6 +107,7 @@ def with_fit(
     *,
     predicted: xr.Dataset | None = None,
     facets: xr.Dataset | None = None,
+    psd: xr.Dataset | None = None,
     index: xr.Dataset | None = None,
     spectrum: xr.Dataset | None = None,
     index_u: float = PRIOR_U["index"],
@@ -117,6 +122,7 @@ def with_fit(
     measured : the key of that name
     bsdf : kind ``bsdf`` that they were compared with
     predicted, facets, index, spectrum : the BSDF of facets and what it was built from; None without a prediction from facets
+    psd : the roughness spectrum, of a BSDF in which waves reflect light
     index_u, slope_u, diffuse_u : standard uncertainty of the inputs before the readings, absolute of the index, relative of the others; the uncertainty
         that the index states comes first; an input with an uncertainty of 0 is not changed
 
@@ -130,7 +136,7 @@ def with_fit(
     Least squares with the prior (JCGM 100:2008). The uncertainties of readings and predictions count as independent of each other, so that those of inputs
     that are fitted count twice where the prediction states them: the posterior is a little too wide. ``finer`` is 0 or more.
     """
-    reason = _not_fitted(readings, bsdf, predicted, facets, index)
+    reason = _not_fitted(readings, bsdf, predicted, facets, psd, index)
     if reason:
         return readings.assign_attrs(findings=json.dumps([reason], ensure_ascii=False))
     assert predicted is not None
@@ -147,9 +153,14 @@ def with_fit(
         del prior_u["finer"]
     prior_u = {name: u for name, u in prior_u.items() if u > 0}
     base = readings["predicted_value"].values[known]
-    model = _Model(PredictionInputs.of(predicted, facets, index, spectrum), used, prior_u, base)
-    nominal, _ = model._of_facets(tuple(NOMINAL.values()))
-    direct = predicted_values(predicted, used)
+    of_facets = PredictionInputs.of(predicted, facets, index, spectrum)
+    if _reflects_as_facets(bsdf):
+        model, direct = _Model(of_facets, used, prior_u, base), predicted_values(predicted, used)
+    else:
+        assert psd is not None
+        by_waves = WavePredictionInputs.of(bsdf, of_facets, psd)
+        model, direct = _Model(by_waves, used, prior_u, base), predicted_values(bsdf, used)
+    nominal, _ = model._rebuilt(tuple(NOMINAL.values()))
     if np.abs(nominal - direct).max() > _SAME * np.abs(direct).max():
         other = "The readings were not fitted: the prediction cannot be built anew from facets, index and spectrum."
         return readings.assign_attrs(findings=json.dumps([other], ensure_ascii=False))
@@ -163,6 +174,7 @@ def _not_fitted(
     bsdf: xr.Dataset,
     predicted: xr.Dataset | None,
     facets: xr.Dataset | None,
+    psd: xr.Dataset | None,
     index: xr.Dataset | None,
 ) -> str:
     """Why nothing is fitted; empty where it is."""
@@ -175,13 +187,24 @@ def _not_fitted(
     elif bsdf.attrs.get("route", "predicted") == "predicted" and predicted is not None and facets is not None:
         evaluator = representation(bsdf)
         if isinstance(evaluator, Wave):
-            _, share = evaluator.regime(_FACET_INCIDENCES, bsdf["wavelength"].values)
-            because = "" if share.min() >= FACETS_ALONE else "waves and not facets alone reflect the light of gloss"
+            if psd is None and not _reflects_as_facets(bsdf):
+                because = "waves reflect the light of gloss, and there is no roughness spectrum"
+            elif index is not None:
+                because = ""
         elif isinstance(evaluator, Microfacet) and index is not None:
             because = ""
         if not isinstance(representation(predicted), Microfacet):
             because = "the surface is perfectly flat"
     return f"The readings were not fitted: {because}." if because else ""
+
+
+def _reflects_as_facets(bsdf: xr.Dataset) -> bool:
+    """Whether facets alone reflect the light of gloss."""
+    evaluator = representation(bsdf)
+    if not isinstance(evaluator, Wave):
+        return True
+    _, share = evaluator.regime(_FACET_INCIDENCES, bsdf["wavelength"].values)
+    return bool(share.min() >= FACETS_ALONE)
 
 
 def _minimise(model: _Model, value: Array, u: Array) -> tuple[Array, Array]:
@@ -209,11 +232,15 @@ def _minimise(model: _Model, value: Array, u: Array) -> tuple[Array, Array]:
 
 
 def _derivatives(residual: Callable[[Array], Array]) -> Callable[[Array], Array]:
-    """Forward differences with a step larger than the noise of a quadrature."""
+    """Forward differences with a step larger than the noise of a quadrature, kept while the inputs hardly change: each takes a BSDF."""
+    known: list[tuple[Array, Array]] = []
 
     def jacobian(change: Array) -> Array:
-        at = residual(change)
-        return np.array([(residual(change + _STEP * one) - at) / _STEP for one in np.eye(change.size)]).T
+        if not known or np.abs(change - known[-1][0]).max() > _SAME_SLOPES:
+            at = residual(change)
+            slopes = np.array([(residual(change + _STEP * one) - at) / _STEP for one in np.eye(change.size)]).T
+            known.append((change.copy(), slopes))
+        return known[-1][1]
 
     return jacobian
 
