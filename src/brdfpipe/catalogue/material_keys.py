@@ -125,7 +125,9 @@ class MaskFile(Keys):
     """A picture of the points of a scan that do not count."""
 
     file: str = _file(
-        "a picture of as many points as the map, upper edge first, whose dark points are left out", example="mask.png"
+        "a picture of as many points as the map, upper edge first, whose dark points are left out",
+        details="Dark is below half of the range of 8 or 16 bits; what is transparent counts as white.",
+        example="mask.png",
     )
 
 
