@@ -9,6 +9,7 @@ from __future__ import annotations
 import io
 import struct
 import zipfile
+import zlib
 from collections.abc import Callable
 
 import numpy as np
@@ -85,7 +86,7 @@ def plux(height: np.ndarray) -> bytes:
     }
     items = "".join(f"<{name}>{value}</{name}>" for name, value in general.items())
     index = f"<xml><GENERAL>{items}</GENERAL><INFO><SIZE>0</SIZE></INFO><LAYER_0><FILENAME_Z>LAYER_0.raw</FILENAME_Z></LAYER_0></xml>"
-    return _archive({"index.xml": index.encode(), "LAYER_0.raw": height[::-1].astype("<f4").tobytes()})
+    return archive({"index.xml": index.encode(), "LAYER_0.raw": height[::-1].astype("<f4").tobytes()})
 
 
 def tmd(height: np.ndarray) -> bytes:
@@ -110,7 +111,7 @@ def vk4(height: np.ndarray) -> bytes:
 
 
 def vk6(height: np.ndarray) -> bytes:
-    return b"VK6" + bytes(5) + _archive({"Vk4File": vk4(height)})
+    return b"VK6" + bytes(5) + archive({"Vk4File": vk4(height)})
 
 
 def zmg(height: np.ndarray) -> bytes:
@@ -135,14 +136,15 @@ def zon(height: np.ndarray) -> bytes:
         "4cdb0c75-5706-48cc-a9a1-adf395d609ae": struct.pack("<4i", columns, rows, 4, 4 * columns) + raw.tobytes(),
         "9e7ca6dd-0e6a-4d7b-8986-f0a7b773c916": struct.pack("<4i", columns, rows, 1, columns) + gaps.tobytes(),
     }
-    return b"KPK0" + struct.pack("<I", 4) + bytes(4) + _archive(entries)
+    return b"KPK0" + struct.pack("<I", 4) + bytes(4) + archive(entries)
 
 
-def _archive(entries: dict[str, bytes]) -> bytes:
+def archive(entries: dict[str, bytes]) -> bytes:
+    """A zip archive of these entries."""
     buffer = io.BytesIO()
-    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as packed:
         for name, content in entries.items():
-            archive.writestr(name, content)
+            packed.writestr(name, content)
     return buffer.getvalue()
 
 
@@ -238,9 +240,74 @@ def sur(height: np.ndarray) -> bytes:
     return head + np.nan_to_num(raw, nan=low - 2).astype("<i4").tobytes()
 
 
+def mnt(height: np.ndarray) -> bytes:
+    """A compound document whose one stream is a tree of tag, size and content; counts of 0.1 nm and a picture of what was measured, in blocks with check sums."""
+    rows, columns = height.shape
+
+    def tag(number: int, *content: bytes) -> bytes:
+        joined = b"".join(content)
+        return struct.pack("<HQ", number, len(joined)) + joined
+
+    def number(place: int, kind: str, value: float) -> bytes:
+        return tag(place, struct.pack(f"<{kind}", value))
+
+    def scale(step: float) -> bytes:
+        micrometres = b"\x04" + "µm".encode("utf-16-le")
+        return tag(0xFFFF, number(1, "d", step), tag(2, micrometres), tag(3, micrometres), number(5, "d", 0))
+
+    def of_class(name: int) -> bytes:
+        return tag(1, number(1, "I", name))
+
+    def array(name: int, values: np.ndarray) -> bytes:
+        block = zlib.compress(values.tobytes(), 0)
+        data = struct.pack("<2Q2I", values.nbytes, 0, values.size, len(block)) + block
+        return of_class(name) + tag(2, number(1, "I", values.size), tag(2, data))
+
+    def axis(count: int, step: float) -> bytes:
+        return tag(0xFFFF, scale(step), number(1, "I", count))
+
+    counts = np.round(np.nan_to_num(height[::-1]) * 1e4).astype("<i4")
+    measured = np.pad(np.where(np.isnan(height[::-1]), 22, 9).astype("u1"), 1)
+    picture = number(1, "I", columns) + number(2, "I", rows) + tag(5, array(9048, measured))
+    axes = tag(1, axis(columns, PITCH[0])) + tag(2, axis(rows, PITCH[1]))
+    grid = axes + tag(3, of_class(9056), tag(2, picture))
+    data = tag(0xFFFF, grid) + tag(1, array(9049, counts)) + tag(2, scale(1e-4))
+    surface = tag(1, of_class(9062), tag(2, tag(0xFFFF, data)))
+    item = tag(1, of_class(9012), tag(2, surface))
+    document = tag(0x2BD, number(1, "B", 1), tag(2, tag(1, bytes(8), item)))
+    main = tag(1, document)
+    return compound(struct.pack("<Q", len(main)) + main)
+
+
+_STORED = zlib.compress(b"", 0)[:2] + b"\1"
+"""Begin of a block of zlib that is not compressed, and is the last one."""
+
+
+def compound(stream: bytes) -> bytes:
+    """A compound document of one stream, ``ScopedContents``: header, table of sectors, directory, stream."""
+    sectors = -(-len(stream) // 512)
+    end, free, table = 0xFFFFFFFE, 0xFFFFFFFF, 0xFFFFFFFD
+    chain = [table, end, *range(3, sectors + 2), end]
+    head = struct.pack("<8s16x5H6x2I", b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1", 0x3E, 3, 0xFFFE, 9, 6, 0, 1)
+    head += struct.pack("<9I", 1, 0, 4096, end, 0, end, 0, 0, free) + struct.pack("<I", free) * 107
+
+    def entry(name: str, kind: int, child: int, start: int, size: int) -> bytes:
+        letters = (name + "\0").encode("utf-16-le")
+        links = struct.pack("<64sH2B3I", letters, len(letters), kind, 1, free, free, child)
+        return links + bytes(36) + struct.pack("<IQ", start, size)
+
+    directory = entry("Root Entry", 5, 1, end, 0) + entry("ScopedContents", 2, free, 2, len(stream))
+    pointers = struct.pack(f"<{len(chain)}I", *chain)
+    # Other streams have other tables.
+    assert len(stream) >= 4096
+    assert len(pointers) <= 512
+    return head + pointers.ljust(512, b"\xff") + directory.ljust(512, b"\0") + stream.ljust(512 * sectors, b"\0")
+
+
 WRITERS: dict[str, Callable[[np.ndarray], bytes]] = {
     "al3d": al3d,
     "gwy": gwy,
+    "mnt": mnt,
     "nms": nms,
     "opd": opd,
     "os3d": os3d,
@@ -256,7 +323,7 @@ WRITERS: dict[str, Callable[[np.ndarray], bytes]] = {
 }
 """Extension → writer."""
 
-MARKS_MISSING = {"al3d", "gwy", "opd", "os3d", "plu", "plux", "sdf", "sur", "zon"}
+MARKS_MISSING = {"al3d", "gwy", "mnt", "opd", "os3d", "plu", "plux", "sdf", "sur", "zon"}
 SQUARE = {"zon"}
 """Formats that state one pitch for both axes."""
 
@@ -302,13 +369,13 @@ def replaced(content: bytes, entry: str, *changes: bytes) -> bytes:
     for old, new in zip(changes[::2], changes[1::2], strict=True):
         assert old in entries[entry]
         entries[entry] = entries[entry].replace(old, new, 1)
-    return prefix + _archive(entries)
+    return prefix + archive(entries)
 
 
 def with_prolog(content: bytes, prolog: str) -> bytes:
     """Every XML document of the archive at the end of a file, behind a prolog."""
     prefix, entries = _taken_apart(content)
-    return prefix + _archive(
+    return prefix + archive(
         {name: prolog.encode() + data if data[:1] == b"<" else data for name, data in entries.items()}
     )
 
@@ -316,9 +383,39 @@ def with_prolog(content: bytes, prolog: str) -> bytes:
 def with_entry(content: bytes, name: str, data: bytes) -> bytes:
     """The archive at the end of a file, with one more entry."""
     prefix, entries = _taken_apart(content)
-    return prefix + _archive(entries | {name: data})
+    return prefix + archive(entries | {name: data})
+
+
+def parts(content: bytes) -> tuple[dict[str, bytes], Callable[[dict[str, bytes]], bytes]]:
+    """What check sums protect in an archive or a compound document, piece by piece, and how to put them together with new sums.
+
+    A file without check sums is one piece.
+    """
+    if content[:4] == b"\xd0\xcf\x11\xe0":
+        return _stream_taken_apart(content[1536:])
+    if b"PK\3\4" not in content:
+        return {"": content}, lambda changed: changed[""]
+    prefix, entries = _taken_apart(content)
+    return entries, lambda changed: prefix + archive(changed)
+
+
+def _stream_taken_apart(stream: bytes) -> tuple[dict[str, bytes], Callable[[dict[str, bytes]], bytes]]:
+    """The blocks of zlib in a stream, and what stands between them."""
+    pieces: dict[str, bytes] = {}
+    while (place := stream.find(_STORED)) >= 0:
+        block = zlib.decompressobj()
+        pieces[f"bytes {len(pieces)}"] = stream[:place]
+        pieces[f"block {len(pieces)}"] = block.decompress(stream[place:])
+        stream = block.unused_data
+    pieces["end"] = stream
+
+    def put_together(changed: dict[str, bytes]) -> bytes:
+        packed = [zlib.compress(piece, 0) if name[:5] == "block" else piece for name, piece in changed.items()]
+        return compound(b"".join(packed))
+
+    return pieces, put_together
 
 
 def _taken_apart(content: bytes) -> tuple[bytes, dict[str, bytes]]:
-    with zipfile.ZipFile(io.BytesIO(content)) as archive:
-        return content[: content.index(b"PK\3\4")], {name: archive.read(name) for name in archive.namelist()}
+    with zipfile.ZipFile(io.BytesIO(content)) as packed:
+        return content[: content.index(b"PK\3\4")], {name: packed.read(name) for name in packed.namelist()}

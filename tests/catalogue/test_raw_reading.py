@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -80,6 +81,27 @@ def test_a_warning_of_a_reader_is_a_line(tmp_path: Path) -> None:
     )
     loaded = load(tmp_path)
     assert any(text.startswith("  warning: 0.35 at 500 nm differs") for text in describe_files(loaded, loaded["m"]))
+
+
+def test_the_marks_of_missing_heights_that_a_refusal_lists_are_accepted_as_they_stand(tmp_path: Path) -> None:
+    heights = line().splitlines()
+    heights[100:103], heights[200:202] = ["-25400"] * 3, ["-1e10"] * 2
+
+    def described(missing: str) -> str:
+        return f"surface: {{file: a.txt, isotropic: true{missing}}}\nindex: PP\n{COLOUR}"
+
+    material(tmp_path, "m", described(""), a__txt="\n".join(heights) + "\n")
+    check = ["check", str(tmp_path), "--read"]
+    refusal = CliRunner().invoke(cli.main, check).output
+    stated = re.search(r"`(missing: \[[^`]*\])`", refusal)
+    assert stated is not None, refusal
+    (tmp_path / "m" / "material.yaml").write_text(described(f", {stated[1]}"))
+    done = CliRunner().invoke(cli.main, check)
+    assert "0.25% missing" in done.output
+    (tmp_path / "m" / "material.yaml").write_text(described(", missing: [-25400, -25400]"))
+    assert "surface.missing: an item is listed twice" in load(tmp_path).failures["m"]
+    (tmp_path / "m" / "material.yaml").write_text(described(", missing: none"))
+    assert "surface.missing: not an accepted value; found 'none'" in load(tmp_path).failures["m"]
 
 
 def test_two_spectra_of_a_sample_are_read_together_and_refused_with_their_own_keys(tmp_path: Path) -> None:

@@ -111,6 +111,83 @@ def test_dark_points_of_a_picture_are_left_out_upper_edge_first(path: Path, suff
     np.testing.assert_array_equal(np.isnan(surface.height), (np.arange(60)[:, None] >= 50) & (np.arange(50) < 20))
 
 
+def levels(share: np.ndarray, dtype: str) -> np.ndarray:
+    """Grey values of a type of whole numbers, from shares of its range."""
+    return np.round(share * np.iinfo(dtype).max).astype(dtype)
+
+
+DARK, GREY, PALE = 0.016, 0.4, 0.6
+"""Shares of white: a dark grey below the 8-bit range of 16 bits, and one on either side of the limit."""
+SHADES = np.full((60, 50), 1.0)
+SHADES[:10, :20], SHADES[20:30, :20], SHADES[40:50, :20] = DARK, GREY, PALE
+MASKED = (SHADES < 0.5)[::-1]
+SEE_THROUGH = (np.arange(60)[:, None] < 55) & (np.arange(50) >= 30)
+
+
+def palette() -> Image.Image:
+    """Shades by their place in a list of colours that runs from white to black."""
+    image = Image.fromarray(255 - levels(SHADES, "u1")).convert("P")
+    image.putpalette([255 - place for place in range(256) for _ in range(3)])
+    return image
+
+
+def with_alpha(mode: str) -> Image.Image:
+    """The shades, opaque, beside black that is transparent."""
+    grey = np.where(SEE_THROUGH, 0, levels(SHADES, "u1")).astype("u1")
+    alpha = np.where(SEE_THROUGH, 0, 255).astype("u1")
+    return Image.merge(mode, [Image.fromarray(part) for part in (*[grey] * (len(mode) - 1), alpha)])
+
+
+PICTURES = {
+    "1.png": lambda: Image.fromarray(SHADES >= 0.5),
+    "L.png": lambda: Image.fromarray(levels(SHADES, "u1")),
+    "L.bmp": lambda: Image.fromarray(levels(SHADES, "u1")),
+    "P.png": palette,
+    "P.bmp": palette,
+    "RGB.png": lambda: Image.fromarray(levels(SHADES, "u1")).convert("RGB"),
+    "RGB.bmp": lambda: Image.fromarray(levels(SHADES, "u1")).convert("RGB"),
+    "CMYK.tif": lambda: Image.fromarray(levels(SHADES, "u1")).convert("RGB").convert("CMYK"),
+    "LA.png": lambda: with_alpha("LA"),
+    "LA.tif": lambda: with_alpha("LA"),
+    "RGBA.png": lambda: with_alpha("RGBA"),
+    "RGBA.tif": lambda: with_alpha("RGBA"),
+    "I;16.png": lambda: Image.fromarray(levels(SHADES, "u2")),
+    "I;16.tif": lambda: Image.fromarray(levels(SHADES, "u2")),
+    "I;16B.tif": lambda: Image.fromarray(levels(SHADES, "u2").astype(">u2")),
+}
+"""Pictures of the shades by Pillow's mode and extension."""
+
+
+@pytest.mark.parametrize("name", PICTURES)
+def test_dark_is_below_half_of_the_range_in_every_mode(path: Path, name: str) -> None:
+    mode, suffix = name.split(".")
+    picture = path.with_name(f"mask.{suffix}")
+    PICTURES[name]().save(picture)
+    with Image.open(picture) as image:
+        assert image.mode == mode
+    surface = read(path, mask={"file": picture.name}, picture=picture)
+    np.testing.assert_array_equal(np.isnan(surface.height), MASKED)
+
+
+@pytest.mark.parametrize("name", ["L.png", "P.png", "RGB.png", "I;16.png"])
+def test_a_transparent_colour_is_bright(path: Path, name: str) -> None:
+    picture = path.with_name("mask.png")
+    image = PICTURES[name]()
+    dark = image.getpixel((0, 0))
+    image.save(picture, transparency=dark)
+    surface = read(path, mask={"file": "mask.png"}, picture=picture)
+    np.testing.assert_array_equal(np.isnan(surface.height), (SHADES == GREY)[::-1])
+
+
+@pytest.mark.parametrize(("dtype", "mode"), [("i4", "I"), ("i2", "I"), ("f4", "F")])
+def test_a_picture_whose_white_is_not_known_is_refused(path: Path, dtype: str, mode: str) -> None:
+    picture = path.with_name("mask.tif")
+    Image.fromarray((255 * (SHADES > 0.5)).astype(dtype)).save(picture)
+    message = rf"^mask\.tif: cannot tell dark points; found a picture of mode {mode}, .*accepted: grey or colour of 8 bits, or grey of 16 bits.*`surface\.mask\.file`"
+    with pytest.raises(InputError, match=message):
+        read(path, mask={"file": "mask.tif"}, picture=picture)
+
+
 def test_what_is_masked_is_not_lost_by_the_measurement(path: Path) -> None:
     half = {"polygons": [[[-1, -1], [13, -1], [13, 50], [-1, 50]]]}
     masked = read(path, mask=half)

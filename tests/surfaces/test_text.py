@@ -56,16 +56,99 @@ def test_every_separator_and_decimal_mark_reads_the_same_grid(
     np.testing.assert_allclose(surface.y, asymmetric.y)
 
 
-@pytest.mark.parametrize("indent", ["\t\t\t", "\t", "  \t ", ";;", ";"])
-@pytest.mark.parametrize("separator", [" ", "\t", ";"])
+@pytest.mark.parametrize("indent", ["\t\t\t", "\t", "  \t ", ";;", ";", ",", ",,"])
+@pytest.mark.parametrize("separator", [" ", "\t", ";", ","])
 def test_separators_before_the_first_number_of_every_line_change_nothing(
     tmp_path: Path, asymmetric: xr.Dataset, indent: str, separator: str
 ) -> None:
-    if ";" in indent and separator != ";":
-        return
     rows = spell(asymmetric.height.values, separator, missing="nan").splitlines()
     surface = read_surface(put(tmp_path, "\n".join(indent + row for row in rows) + "\n"), **GRID)
     np.testing.assert_allclose(surface.height, asymmetric.height, rtol=0, atol=PRINTED)
+
+
+MARKS = ["", "NA", "N/A", "n/a", "NaN", "null", "-", "--", "---", "BAD", "bad", "***"]
+
+
+@pytest.mark.parametrize("header", ["", "Instrument X\n\n"])
+@pytest.mark.parametrize("mark", MARKS)
+@pytest.mark.parametrize("separator", [",", ";", "\t", " "])
+def test_rows_whose_first_heights_are_missing_are_rows(
+    tmp_path: Path, asymmetric: xr.Dataset, separator: str, mark: str, header: str
+) -> None:
+    # Blanks cannot enclose an empty field.
+    mark = mark if mark or separator != " " else "NA"
+    height = asymmetric.height.values.copy() + 1
+    height[:5, 0] = np.nan
+    height[2, :4] = np.nan
+    surface = read_surface(put(tmp_path, header + spell(height, separator, missing=mark), "map.csv"), **GRID)
+    np.testing.assert_allclose(surface.height, height, rtol=0, atol=PRINTED)
+    assert ("Skipped 1 header lines" in surface.attrs.get("history", "")) == bool(header)
+    assert vocabulary.warnings(surface) == []
+
+
+@pytest.mark.parametrize("decimal", [".", ","])
+@pytest.mark.parametrize("mark", MARKS)
+def test_a_mark_before_decimal_commas_begins_a_row(
+    tmp_path: Path, asymmetric: xr.Dataset, mark: str, decimal: str
+) -> None:
+    height = asymmetric.height.values.copy()
+    height[:3, 0] = np.nan
+    surface = read_surface(put(tmp_path, spell(height, ";", decimal, mark)), **GRID)
+    np.testing.assert_allclose(surface.height, height, rtol=0, atol=PRINTED)
+
+
+@pytest.mark.parametrize(
+    ("mark", "header", "read"),
+    [
+        ("NA", "", True),
+        ("---", "", True),
+        ("", "", True),
+        ("NA", "Instrument X\n", True),
+        # Below titles, dashes are a rule, and a row of separators is the empty row of a workbook.
+        ("---", "Instrument X\n", False),
+        ("", "Instrument X" + 49 * ";" + "\n", False),
+    ],
+)
+def test_first_rows_without_any_height_are_rows_or_warned_of(
+    tmp_path: Path, asymmetric: xr.Dataset, mark: str, header: str, read: bool
+) -> None:
+    height = asymmetric.height.values.copy()
+    height[:2] = np.nan
+    surface = read_surface(put(tmp_path, header + spell(height, missing=mark)), **GRID)
+    np.testing.assert_allclose(surface.height, height[0 if read else 2 :], rtol=0, atol=PRINTED)
+    doubts = [text for text in vocabulary.warnings(surface) if "2 lines of dashes or of empty fields above" in text]
+    assert len(doubts) == (not read)
+
+
+def test_the_first_heights_of_a_profile_may_be_missing(tmp_path: Path, line: xr.Dataset) -> None:
+    height = line.height.values.copy()
+    height[:4] = np.nan
+    surface = read_surface(put(tmp_path, spell(height[:, None], missing="NA")), unit="um", pitch=0.25)
+    np.testing.assert_allclose(surface.height, height, rtol=0, atol=PRINTED)
+
+
+def test_a_skipped_line_of_numbers_behind_a_word_is_warned_of(tmp_path: Path, asymmetric: xr.Dataset) -> None:
+    height = asymmetric.height.values
+    first, *rows = spell(height).splitlines(keepends=True)
+    surface = read_surface(put(tmp_path, "bad?" + first[first.index(";") :] + "".join(rows)), **GRID)
+    assert surface.height.shape == (39, 50)
+    assert "skipped as header though most of their fields are numbers: 1." in vocabulary.warnings(surface)[0]
+    sizes = read_surface(put(tmp_path, "Size 50 40\nOrigin 0 0 0 mm\n" + spell(height)), **GRID)
+    assert sizes.height.shape == (40, 50)
+    assert vocabulary.warnings(sizes) == []
+
+
+def test_infinite_heights_of_a_first_row_are_refused_and_not_skipped(tmp_path: Path, asymmetric: xr.Dataset) -> None:
+    height = np.nan_to_num(asymmetric.height.values)
+    height[0, 0] = np.nan
+    with pytest.raises(InputError, match="infinite heights"):
+        read_surface(put(tmp_path, spell(height, missing="inf")), **GRID)
+
+
+@pytest.mark.parametrize("row", [",{} {} {}\n", ",{}\n"])
+def test_a_comma_before_whole_numbers_is_ambiguous(tmp_path: Path, row: str) -> None:
+    with pytest.raises(InputError, match="ambiguous comma: decimal mark"):
+        read_surface(put(tmp_path, "".join(row.format(i, i + 1, 7) for i in range(99))), layout="grid", **GRID)
 
 
 @pytest.mark.parametrize(

@@ -75,6 +75,10 @@ def _scale() -> Any:
 
 Scale = Annotated[str, OneOf(("fraction", "percent"))]
 Length = Annotated[float, Field(gt=0, le=1_000_000)]
+MissingHeights = Annotated[
+    Annotated[list[float], Items(), Field(min_length=1, max_length=20)] | float,
+    Choice(lambda missing: 0 if isinstance(missing, list) else 1),
+]
 _LIKE_FIRST = "that of the first scan, for files of the same extension"
 
 
@@ -125,7 +129,9 @@ class MaskFile(Keys):
     """A picture of the points of a scan that do not count."""
 
     file: str = _file(
-        "a picture of as many points as the map, upper edge first, whose dark points are left out", example="mask.png"
+        "a picture of as many points as the map, upper edge first, whose dark points are left out",
+        details="Dark is below half of the range of 8 or 16 bits; what is transparent counts as white.",
+        example="mask.png",
     )
 
 
@@ -163,7 +169,7 @@ class Scan(Keys):
         Annotated[tuple[Length, Length], Strict(False)] | Length,
         Choice(lambda pitch: 0 if isinstance(pitch, list) else 1),
     ] = key("as `surface.pitch`", default_words=_LIKE_FIRST)
-    missing: float = key("as `surface.missing`", default_words=_LIKE_FIRST, example=-25400)
+    missing: MissingHeights = key("as `surface.missing`", default_words=_LIKE_FIRST, example=-25400)
 
 
 def states_lay(isotropic: bool | None, layout: str | None) -> bool:
@@ -206,8 +212,8 @@ class MeasuredSurface(Keys):
         default_words="what the file states",
         stage="surface",
     )
-    missing: float = key(
-        "a height that marks missing ones, as the file writes it (in µm where the file states its unit)",
+    missing: MissingHeights = key(
+        "a height that marks missing ones, as the file writes it (in µm where the file states its unit), or a list of several",
         default_words="NaN, empty fields, and what the format states",
         example=-25400,
         stage="surface",

@@ -7,7 +7,7 @@ are far from any finish of a plastic, paint or film.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -117,6 +117,7 @@ def examine(
     keys: Collection[str] = (*UNSTATED, "layout"),
     unit: float = 1.0,
     left_out: NDArray[np.bool_] | None = None,
+    declared: Sequence[float] = (),
 ) -> xr.Dataset:
     """Refuse implausible heights; warn about doubtful ones.
 
@@ -127,6 +128,7 @@ def examine(
     keys : keys of ``surface`` that apply to the format of the file, and ``region`` where it was cropped: messages suggest no other
     unit : of the heights in the file [um], for messages
     left_out : where a mask leaves heights out, which then do not count as missing from the measurement
+    declared : values that already count as missing, in the unit of the file, for messages
 
     Returns
     -------
@@ -137,7 +139,7 @@ def examine(
     Raises
     ------
     InputError : pitch outside 1 nm to 1 mm; extent of 1 m or more; fewer than 32 x 32 (areal) or 64 (line) points; infinite
-        heights; more than 50 % missing; a value that looks like a mark of missing heights; fewer than 16 distinct heights; rms
+        heights; more than 50 % missing; values that look like marks of missing heights; fewer than 16 distinct heights; rms
         slope, mean slope removed, outside [1e-4, 3].
     """
     height = surface.height.values
@@ -148,7 +150,7 @@ def examine(
     if fraction > MISSING_MAX:
         accepted = "at most 50 %; measure again, or export a part with fewer gaps"
         raise InputError(file, "more than half of the heights are missing", found=f"{fraction:.1%}", accepted=accepted)
-    _check_placeholder(height, file, unit)
+    _check_placeholders(height, file, unit, declared)
     steepest, peaked = _check_heights(height, pitches, file, keys)
     return add_warning(surface, *_doubts(fraction, pitches, steepest, peaked))
 
@@ -184,16 +186,20 @@ def _check_grid(shape: tuple[int, ...], pitches: list[float], file: Path, keys: 
         )
 
 
-def _check_placeholder(height: NDArray[np.floating], file: Path, unit: float) -> None:
-    found = placeholders.find(_sample(height))
-    if found is None:
+def _check_placeholders(height: NDArray[np.floating], file: Path, unit: float, declared: Sequence[float]) -> None:
+    found = placeholders.find(height)
+    if not found:
         return
-    value = f"{found.value / unit:.7g}"
+    values = [f"{mark.value / unit:.7g}" for mark in found]
+    known = [f"{value:.7g}" for value in declared]
+    listed = ", ".join((*known, *values))
+    one = len(found) == 1
     raise InputError(
         file,
-        "one value lies far from all other heights, as if it marked missing ones",
-        found=f"{value} in {found.share:.1%} of them",
-        accepted=f"`missing: {value}` if it does; else heights without it",
+        f"{'one value lies' if one else f'{len(found)} values lie'} far from all other heights, as if marking missing ones",
+        found=", ".join(f"{value} in {mark.times}" for value, mark in zip(values, found, strict=True))
+        + f" of {np.count_nonzero(~np.isnan(height))} heights",
+        accepted=f"`missing: {listed if one and not known else f'[{listed}]'}` if {'it does' if one else 'they do'}; else heights without {'it' if one else 'them'}",
         key="surface.missing",
     )
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
@@ -38,7 +38,7 @@ def read_surface(
     path: str | os.PathLike[str],
     format: str | None = None,
     *,
-    missing: float | None = None,
+    missing: float | Sequence[float] | None = None,
     region: Mapping[str, Any] | None = None,
     mask: Mapping[str, Any] | None = None,
     picture: str | os.PathLike[str] | None = None,
@@ -51,7 +51,7 @@ def read_surface(
     ----------
     path : the file
     format : a key of :data:`FORMATS`; by default from the extension
-    missing : a height that marks missing ones, in the unit of the file's heights; in um where the file states that unit
+    missing : a height that marks missing ones, or several, in the unit of the file's heights; in um where the file states that unit
     region, mask, picture : the part that counts, see :mod:`brdfpipe.surfaces.selection`; positions are those of the file, before it is cropped
     outliers : ``report`` spikes (the default) or ``remove`` them: they become missing
     **options : values that the file does not state. Text and NumPy: ``unit`` of the heights and ``lateral_unit`` (nm, um,
@@ -76,16 +76,17 @@ def read_surface(
     given = {name: value for name, value in options.items() if value is not None}
     _check_options(path, chosen, given)
     heights = chosen.read(path, **given)
-    if missing is not None:
-        height, note = placeholders.as_missing(heights.height, missing, heights.unit)
-        heights = replace(heights, height=height, history=(*heights.history, note))
+    declared = () if missing is None else (missing,) if isinstance(missing, int | float) else tuple(missing)
+    if declared:
+        height, notes = placeholders.as_missing(heights.height, declared, heights.unit)
+        heights = replace(heights, height=height, history=(*heights.history, *notes))
     if mask is not None:
         heights = selection.masked(heights, mask, None if picture is None else Path(picture), path)
     if region is not None:
         heights = selection.cropped(heights, region, path)
     heights = _without_spikes(heights, outliers or OUTLIERS[0], path)
     keys = chosen.options if region is None else (*chosen.options, "region")
-    return examine(surface_dataset(heights), path, keys, heights.unit, heights.left_out)
+    return examine(surface_dataset(heights), path, keys, heights.unit, heights.left_out, declared)
 
 
 def _without_spikes(heights: Heights, outliers: str, path: Path) -> Heights:

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,9 @@ from brdfpipe.errors import InputError
 from brdfpipe.surfaces.archives import MAX_POINTS
 from brdfpipe.surfaces.heights import Heights
 
+if TYPE_CHECKING:
+    from PIL import Image
+
 PIXELS = "pixels"
 PICTURES = (".bmp", ".png", ".tif", ".tiff")
 """Extensions of pictures that mask a map."""
@@ -22,6 +25,8 @@ PICTURES = (".bmp", ".png", ".tif", ".tiff")
 _MOST_VERTICES = 10_000
 _DARK = 128
 """Grey value of 256 below which a point of a picture is dark."""
+_MODES = ("1", "L", "LA", "P", "PA", "RGB", "RGBA", "RGBX", "CMYK", "YCbCr")
+"""Pillow's names of pictures of 8 bits, whose black and white are known."""
 
 
 def cropped(heights: Heights, region: Mapping[str, Any], file: Path) -> Heights:
@@ -64,13 +69,14 @@ def masked(heights: Heights, mask: Mapping[str, Any], picture: Path | None, file
     Parameters
     ----------
     mask : ``polygons``, each a list of corners [x, y] in µm from the lower left, or counted in points if ``unit`` is ``pixels``: the heights
-        inside are left out; or ``file``, a picture of as many points as the map, upper edge first, whose dark points are left out
+        inside are left out; or ``file``, a picture of as many points as the map, upper edge first, whose dark points are left out: those
+        below half of the range of 8 or 16 bits, as the picture looks on white where it is transparent
     picture : path of that file
     file : of the map, for messages
 
     Raises
     ------
-    InputError : a line; a picture of another size, or one that cannot be read; a polygon of fewer than three corners; nothing or everything
+    InputError : a line; a picture of another size, of 32 bits or of floating point, or one that cannot be read; a polygon of fewer than three corners; nothing or everything
         is left out.
     """
     if heights.height.ndim != 2:
@@ -155,10 +161,29 @@ def _dark(picture: Path, shape: tuple[int, int]) -> NDArray[np.bool_]:
                     accepted=f"{columns} x {rows} points, upper edge first",
                     key="surface.mask.file",
                 )
-            grey = np.asarray(image.convert("L"))
+            bright = _bright(image, picture)
     except (OSError, UnidentifiedImageError, Image.DecompressionBombError, ValueError, SyntaxError) as error:
         if isinstance(error, InputError):
             raise
         accepted = f"a whole picture ({', '.join(PICTURES)})"
         raise InputError(picture, "not a picture, or damaged", accepted=accepted, key="surface.mask.file") from error
-    return grey[::-1] < _DARK
+    return ~bright[::-1]
+
+
+def _bright(image: Image.Image, picture: Path) -> NDArray[np.bool_]:
+    """Bright points of a picture, in its order."""
+    from PIL import Image
+
+    transparent = image.info.get("transparency")
+    if image.mode.startswith("I;16"):
+        # Pillow would cut these values off at 255.
+        grey = np.asarray(image)
+        return (grey >= 256 * _DARK) | (np.False_ if transparent is None else grey == transparent)
+    if image.mode not in _MODES:
+        found = f"a picture of mode {image.mode}, whose black and white are not known"
+        accepted = "grey or colour of 8 bits, or grey of 16 bits"
+        raise InputError(picture, "cannot tell dark points", found=found, accepted=accepted, key="surface.mask.file")
+    if transparent is None and not image.mode.endswith("A"):
+        return np.asarray(image.convert("RGB").convert("L")) >= _DARK
+    white = Image.new("RGBA", image.size, "white")
+    return np.asarray(Image.alpha_composite(white, image.convert("RGBA")).convert("L")) >= _DARK

@@ -12,7 +12,7 @@ import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -28,7 +28,9 @@ LAYOUTS = ("line", "grid", "xyz")
 
 _MAX_BYTES = 2**31
 _MISSING = ["", "NaN", "nan", "NAN", "NA", "N/A", "n/a", "null", "-", "--", "---", "BAD", "bad"]
-_NUMBER = re.compile(r"[+-]?(?:\d+(?:[.,]\d*)?|[.,]\d+)(?:[eE][+-]?\d+)?|nan|\*+", re.IGNORECASE | re.ASCII)
+_NUMBER = re.compile(
+    r"[+-]?(?:\d+(?:[.,]\d*)?|[.,]\d+)(?:[eE][+-]?\d+)?|nan|[+-]?inf(?:inity)?|\*+", re.IGNORECASE | re.ASCII
+)
 _SETTING = re.compile(r"[ \t]*[#%]+[ \t]*(unit|lateral_unit|pitch)[ \t]*[:=][ \t]*(.*)", re.IGNORECASE)
 _LENGTH = re.compile(
     rf"^[ \t#%]*(?:(?:scan|profile)[ _])?length[ \t]*[:;=,\t][ \t]*(\d+\.?\d*)[ \t]*\[?({'|'.join(UNITS)})\b",
@@ -47,6 +49,8 @@ _BLOCK = 2**22
 _COMPARED = 33
 _HEADER_LINES = 8
 """Lines above the numbers that are kept."""
+_GRID_WORDS = 8
+"""Words of a row of numbers above which it is one of a grid; x, y and z are six words with decimal commas."""
 
 
 @dataclass(frozen=True)
@@ -63,6 +67,8 @@ class _Body:
     """Width and height of the map according to the header of Gwyddion [um]; empty without one."""
     header: tuple[str, ...] = ()
     """The lines above the numbers."""
+    doubts: tuple[str, ...] = ()
+    """Warnings of lines above the numbers that may be heights."""
 
 
 def read_text(
@@ -126,7 +132,7 @@ def read_text(
         pitch_x * lateral_scale,
         None if pitch_y is None else pitch_y * lateral_scale,
         (*notes, *body.notes, *_title_note(titles), *remarks),
-        (*_cut_warning(doubt), *_other_units(titles, height_scale, lateral_scale)),
+        (*body.doubts, *_cut_warning(doubt), *_other_units(titles, height_scale, lateral_scale)),
         height_scale,
     )
 
@@ -244,6 +250,8 @@ def _split_header(text: str, path: Path) -> _Body:
     settings: dict[str, str] = {}
     extent: dict[str, float] = {}
     above: list[str] = []
+    gaps: list[_Gap] = []
+    numerous: list[tuple[int, int]] = []
     skipped, offset = 0, 0
     for number, line in enumerate(_lines(text), 1):
         if setting := _SETTING.match(line):
@@ -253,21 +261,84 @@ def _split_header(text: str, path: Path) -> _Body:
         elif size := _GWYDDION_EXTENT.fullmatch(line.rstrip("\n")):
             side = "width" if size[1].lower() in ("width", "breite", "largeur") else "height"
             extent[side] = float(size[2].replace(",", ".")) * UNITS[size[3]]
-        content = re.split("[#%]", line, maxsplit=1)[0].strip()
-        first = next(filter(None, re.split(r"[;\s]+|,(?!\d)", content)), "")
-        if _NUMBER.fullmatch(first) or _NUMBER.fullmatch(first.split(",")[0]):
+        content = re.split("[#%]", line, maxsplit=1)[0].strip(" \n")
+        words = _words(content)
+        numbers = sum(map(_is_number, words))
+        if _is_row(words, numbers):
+            # Dashes or separators alone below other header lines are those of a table or of a workbook.
+            alike = _alike(gaps, content)
+            of_heights = alike and (not skipped or all(re.search("[A-Za-z]", gap.content) for gap in gaps))
+            first = gaps[0] if of_heights else _Gap(offset, number, content)
+            skipped += 0 if of_heights else sum(bool(gap.content.strip()) for gap in gaps)
             notes = [f"Skipped {skipped} header lines above the heights."] if skipped else []
-            stated = _LENGTH.search(text[:offset])
+            stated = _LENGTH.search(text[: first.offset])
             length = float(stated[1]) * UNITS[stated[2].lower()] if stated else None
             sides = (extent["width"], extent["height"]) if len(extent) == 2 and min(extent.values()) > 0 else ()
-            return _Body(_without_comments(text[offset:]), number, settings, notes, length, sides, tuple(above))
-        skipped += bool(content)
+            rows = _without_indent(_without_comments(text[first.offset :]))
+            doubts = _skipped_heights(numerous, len(gaps) if alike and not of_heights else 0, len(words))
+            return _Body(rows, first.line, settings, notes, length, sides, tuple(above), doubts)
+        if content and all(word in _MISSING for word in words):
+            gaps.append(_Gap(offset, number, content))
+        elif words:
+            skipped += 1 + len(gaps)
+            gaps = []
+            # A word before numbers may be a damaged height.
+            if 2 * numbers > len(words):
+                numerous.append((number, numbers))
         offset += len(line)
-        above = [*above, line][-_HEADER_LINES:] if line.strip() else above
+        above = [*above, line][-_HEADER_LINES:] if line.strip() and not (gaps and gaps[-1].line == number) else above
     raise InputError(
         path,
         "the file is empty" if not text.strip() else "no line of numbers found",
         accepted="rows of heights, x and z, or x y z",
+    )
+
+
+class _Gap(NamedTuple):
+    """A line of marks of missing heights, or of separators alone, above the first number."""
+
+    offset: int
+    line: int
+    content: str
+
+
+def _words(content: str) -> list[str]:
+    """What stands between separators of any kind; a number with a decimal comma is two words."""
+    return re.findall(r"[^;,\s]+", content)
+
+
+def _is_number(word: str) -> bool:
+    return _NUMBER.fullmatch(word) is not None
+
+
+def _is_row(words: Sequence[str], numbers: int) -> bool:
+    """Whether a line holds heights: it begins with a number, or holds numbers and marks of missing heights alone."""
+    return numbers > 0 and (_is_number(words[0]) or all(_is_number(word) or word in _MISSING for word in words))
+
+
+def _alike(gaps: Sequence[_Gap], row: str) -> bool:
+    """Whether lines of marks alone may be rows of missing heights: they have the fields of the first row of numbers.
+
+    A row of two or three fields has positions, which cannot be missing.
+    """
+    if not gaps:
+        return False
+    mark = next((mark for mark in ";\t," if mark in gaps[0].content), None)
+    fields = len(row.split(mark))
+    return fields not in (2, 3) and all(len(gap.content.split(mark)) == fields for gap in gaps)
+
+
+def _skipped_heights(numerous: Sequence[tuple[int, int]], empty: int, words: int) -> tuple[str, ...]:
+    """Warnings of skipped lines that may be heights of a grid: lines of numbers behind a word, and lines of dashes or of empty fields."""
+    if words <= _GRID_WORDS:
+        return ()
+    lines = [str(line) for line, numbers in numerous if 2 * numbers > words]
+    advice = "Write # before them if they are no heights"
+    named = f"Lines of the file were skipped as header though most of their fields are numbers: {', '.join(lines[:5])}"
+    unnamed = f"{empty} lines of dashes or of empty fields above the heights were skipped"
+    return (
+        *([f"{named}. {advice}; else correct the field that is no number."] if lines else []),
+        *([f"{unnamed}. {advice}; else write NaN."] if empty else []),
     )
 
 
@@ -285,6 +356,20 @@ def _without_comments(text: str) -> str:
         text = re.sub(r"[#%].*", "", text)
     # A run of asterisks is a missing height, however long.
     return re.sub(r"\*+", "nan", text) if "*" in text else text
+
+
+def _without_indent(text: str) -> str:
+    """The rows without the semicolons or commas that every one begins with, where another mark, or a blank, separates the numbers.
+
+    Where they also separate, the columns before them are empty, and left out later.
+    """
+    row = text.partition("\n")[0]
+    indent = re.match(r" *(;+|,+)", row)
+    # A comma may be the decimal mark of the first number, unless points are.
+    if indent is None or indent[1][0] in row[indent.end() :] or (indent[1][0] == "," and "." not in text):
+        return text
+    rows, count = re.subn(rf"(?m)^ *{indent[1]}", "", text)
+    return rows if count == sum(1 for _ in re.finditer(r"(?m)^[ \t]*\S", text)) else text
 
 
 def _table(body: _Body, path: Path) -> NDArray[np.float64]:
@@ -327,7 +412,8 @@ def _marks(body: _Body, path: Path) -> tuple[str | None, str]:
     if "," not in body.text:
         return None, "."
     padded, bare = len(re.findall(r"\s,|,\s|,$", row)), len(re.findall(r"(?<!\s),(?=\S)", row))
-    if re.search(r"\s", re.sub(r"\s*,\s*", ",", row)):
+    leading = row.startswith(",") and body.text.count(",") == len(re.findall(r"(?m)^[ \t]*,", body.text))
+    if not leading and re.search(r"\s", re.sub(r"\s*,\s*", ",", row)):
         return None, decimal
     if "." in body.text or (padded and not bare) or (bare > 1 and not padded):
         return ",", "."
