@@ -14,10 +14,10 @@ from brdfpipe import columns, vocabulary
 from brdfpipe.columns import Columns
 from brdfpipe.errors import InputError
 from brdfpipe.geometry import Array
-from brdfpipe.spectra import column_choice, damage, header_words
+from brdfpipe.spectra import column_choice, damage, header_words, specular_words
 from brdfpipe.spectra.column_choice import in_words, title_of
 from brdfpipe.spectra.formats import registry
-from brdfpipe.spectra.header_words import KnownGeometry
+from brdfpipe.spectra.specular_words import KnownGeometry
 
 GEOMETRIES = ("sci", "sce")
 """Specular component included or excluded."""
@@ -320,8 +320,10 @@ def _checked_values(wavelength: Array, reflectance: Array, allow_fluorescent: bo
 
 def _geometry(table: Columns, value: int, known: KnownGeometry, log: _Log) -> str:
     """Specular component included or excluded: from material.yaml, or else from the file; a fallback only where the file states none."""
-    # The title of the column counts before the words above it, which may speak of other columns.
-    stated = header_words.geometry(title_of(table, value)) or header_words.geometry(" ".join(table.header))
+    # The labels of the column count before the header, which may speak of other columns.
+    stated = column_choice.stated_geometry(table, value) or column_choice.header_geometry(table)
+    if stated is None and (unclear := column_choice.unclear_geometry(table, value)):
+        log.warn(f"{specular_words.doubt(unclear)}.")
     geometry = known.name
     if geometry is None or (known.is_fallback and stated is not None):
         check_geometry(table.file, stated)

@@ -98,7 +98,7 @@ def wide_samples(
             found, accepted = f"{len(row)} cells", f"{len(header)} cells, as in the header"
             raise InputError(path, "rows of unequal length", where=f"line {line}", found=found, accepted=accepted)
         name, cells = row[0].strip(), [row[i] for i in labels]
-        others = tuple((header[i].strip(), row[i].strip()) for i in range(1, len(row)) if i not in labels)
+        others = tuple((header[i].strip(), row[i].strip()) for i in range(len(row)) if i not in labels)
         samples.append(
             base.parsed_sample(
                 path,
