@@ -474,7 +474,9 @@ def flat(largest: float, digits: int) -> str:
 @pytest.mark.parametrize("largest", [0.9, 1.07, 1.5])
 def test_fractions_called_percent_are_named_as_such(read, head: str, digits: int, largest: float) -> None:
     text = head + flat(largest, digits)
-    with pytest.raises(InputError, match="the scale is wrong.*smooth black surface reflects more than 1.6") as refusal:
+    with pytest.raises(
+        InputError, match=r"the scale is wrong.*smooth black surface reflects more than 1\.6"
+    ) as refusal:
         read(text, scale="percent")
     assert refusal.value.key == "spectrum.scale"
     (warning,) = warnings(read(text, scale="percent", geometry="sce"))

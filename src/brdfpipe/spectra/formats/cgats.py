@@ -89,4 +89,10 @@ def _table_samples(
     return samples
 
 
-FORMAT = base.SpectrumFormat("cgats", (".cgats", ".ti3"), "spectral fields of CGATS tables", base.from_text(_samples))
+FORMAT = base.SpectrumFormat(
+    "cgats",
+    (".cgats", ".ti3"),
+    "spectral fields of CGATS tables",
+    base.from_text(_samples),
+    tried="colorchecker_cyan.ti3, made",
+)

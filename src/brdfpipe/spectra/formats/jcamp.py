@@ -213,4 +213,5 @@ FORMAT = base.SpectrumFormat(
     (".dx", ".jcamp", ".jcm", ".jdx"),
     "JCAMP-DX `XYDATA` or `XYPOINTS`, packed or not, over nm or µm",
     base.from_text(_samples),
+    tried="colorchecker_red_jcamp.jdx, made",
 )

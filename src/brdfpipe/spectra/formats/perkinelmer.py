@@ -58,4 +58,6 @@ def _row(path: Path, line: str, place: int) -> tuple[str, str]:
     return cells[0], cells[1]
 
 
-FORMAT = base.SpectrumFormat("perkinelmer", (".asc",), "one spectrum in nm, %R or R", base.from_text(_samples))
+FORMAT = base.SpectrumFormat(
+    "perkinelmer", (".asc",), "one spectrum in nm, %R or R", base.from_text(_samples), tried="vinyl_red_pe.asc, made"
+)

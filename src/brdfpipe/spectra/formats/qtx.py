@@ -46,4 +46,6 @@ def _samples(path: Path, text: str) -> list[base.Sample]:
     return samples
 
 
-FORMAT = base.SpectrumFormat("qtx", (".qtx",), "Datacolor standards and batches, percent", base.from_text(_samples))
+FORMAT = base.SpectrumFormat(
+    "qtx", (".qtx",), "Datacolor standards and batches, percent", base.from_text(_samples), tried="abs_black.qtx, made"
+)

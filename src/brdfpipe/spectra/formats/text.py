@@ -128,4 +128,5 @@ FORMAT = base.SpectrumFormat(
     "columns of wavelength (nm or µm; Å, cm⁻¹ or eV if the title says so) and reflectance; or one row per sample below a header of wavelengths. UTF-8, UTF-16 or Latin-1; `;`, tab, "
     "`,` or blanks; decimal point or comma",
     _read,
+    tried="abs_black_3col.txt, fibreglass_green_um_sentinel.txt, hdpe_yellow_irregular.txt, munsell_over_unity.csv, pipe_blue_ecostress_style.txt, pvc_white_de.csv, all made",
 )
