@@ -114,7 +114,9 @@ def _pair(
     both = both.assign_attrs(_trap_attribute(spec.get("specular_trap"), "sce"))
     history = [f"SCE: {line}" for line in without.attrs.get("history", "").splitlines() if line]
     both = vocabulary.add_history(vocabulary.label(both, "spectrum"), *history)
-    return vocabulary.add_warning(both, *vocabulary.warnings(without))
+    both.attrs.pop("warnings", None)
+    of_each = (f"{kind.upper()}: {one}" for kind, part in parts.items() for one in vocabulary.warnings(part))
+    return vocabulary.add_warning(both, *of_each)
 
 
 def _ingested(
