@@ -27,7 +27,7 @@ INCLUDED = [
     "Specular: yes", "SCI/SCE: I", "Gloss: In", "SPEC: +", "SCE: no",
 ]  # fmt: skip
 NEITHER = [
-    "R", "Sample excluded", "UV excluded", "Scene 1", "SCIENCE", "by SciPy 1.11", "Rev. Sci. Instrum. 80", "luminance", "spin coated", "Example 2", "Ex 1",
+    "R", "Sample excluded", "UV excluded", "Scene 1", "SCIENCE", "by SciPy 1.11", "Rev. Sci. Instrum. 80", "luminance", "spin coated", "sin θ", "Example 2", "Ex 1",
     "high gloss ex. 3", "Gloss in GU", "Glanz in %", "Specular in percent", "species", "specimen excl. 3", "inclusion", "Index", "In", "pas de 8 nm", "d/8 i.e. sphere",
     "Comment: excluded", "Gloss: 1", "Gloss: -", "spectral range excluded", "exit slit",
 ]  # fmt: skip

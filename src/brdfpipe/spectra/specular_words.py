@@ -14,15 +14,15 @@ _LINK = r"(?:comp|compon\w*|kompon\w*|compos\w*|anteil|refl|reflec\w*|reflex\w*|
 _UNIT = r"(?:%|percent|prozent|r|\d+)"
 _IN = r"(?:inc|incl(?!usion)\w*|inkl(?!usion)\w*|eingeschl\w*)"
 _OUT = r"(?:exc|excl(?!usion)\w*|exkl(?!usion)\w*|esclu\w*|ausgeschl\w*|(?<=sp )ex|(?<=spec )ex|(?<=specular )ex|ex(?! \d))"
-"""Example 3 is no label: `ex` before a number is one after `spec` alone."""
+"""`Example 3` is no label: `ex` before a number is one only after `specular` and its abbreviations."""
 _WITH, _WITHOUT = r"(?:with|mit|avec|con)", r"(?:without|w o|ohne|sans|sin|senza)"
 _TRAP = r"(?:glanzfalle|(?:gloss|specular|light|glanz) trap)"
 
 
 def _says(word: str, preposition: str, letter: str, trap: str) -> re.Pattern[str]:
-    """Pattern of one kind of words, for normalised text: adjective, preposition, letter of abbreviations, and how a gloss trap is used."""
+    """Pattern of one kind of words in normalised text: adjective, preposition, letter of abbreviations, and preposition of a gloss trap."""
     syllable = {"i": r"in(?:c|cl\w*)?", "e": r"ex(?:c|cl\w*)?"}[letter]
-    codes = rf"r?sc{letter}|r?(?:sp|spec|specular|s(?=in|ex)){syllable}(?! (?:coat|speed))"
+    codes = rf"r?sc{letter}|r?(?:sp|spec|specular){syllable}(?! (?:coat|speed))|rs{syllable}"
     near = rf"{_COMPONENT} (?:{_LINK} )*{word}|{word} (?:{_LINK} )*{_COMPONENT}"
     before = rf"{preposition} (?:the )?(?:{_SPECULAR}(?! (?:trap|port))|{_COMPONENT}(?= {_LINK}\b|(?: {_UNIT})*$))"
     return re.compile(rf"(?<![^\s])(?:{codes}|{near}|{before}|{trap} (?:a |the )?{_TRAP})(?![^\s])")
