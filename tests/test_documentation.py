@@ -18,14 +18,16 @@ from built_examples import build_examples
 from click.testing import CliRunner
 from source_tree import PACKAGE, modules
 
-from brdfpipe import appearance, documents, exchange, flakes, spectra, store
+from brdfpipe import appearance, columns, documents, exchange, flakes, spectra, store
 from brdfpipe.bsdf import flake, lambert_gauss
 from brdfpipe.catalogue import generated_files, material_keys
 from brdfpipe.cli.main import main
 from brdfpipe.descriptions import reading
 from brdfpipe.exchange.registry import FORMATS
 from brdfpipe.spectra import colorimetry
+from brdfpipe.spectra.formats import excel, jcamp
 from brdfpipe.stages import STAGES
+from brdfpipe.surfaces import archives, arrays, instruments, x3p
 
 PROJECT = Path(__file__).parents[1]
 PAGES = [PROJECT / "README.md", PROJECT / "CONTRIBUTING.md", *sorted((PROJECT / "docs").rglob("*.md"))]
@@ -255,6 +257,21 @@ def test_the_documentation_lists_the_illuminants_that_are_known() -> None:
     text = (PROJECT / "docs/materials.md").read_text(encoding="utf-8")
     listed = text.split("## Illuminants")[1].split("in Python: ")[1].split(", in any case")[0].split(", ")
     assert sorted(listed) == sorted(colorimetry.illuminants())
+
+
+def test_the_documentation_states_the_largest_raw_files() -> None:
+    text = (PROJECT / "docs/materials.md").read_text(encoding="utf-8").split("## Largest raw files")[1].split("##")[0]
+    limits = {
+        "excel": f"{excel._UNPACKED >> 20} MiB unpacked; {excel._MOST_ROWS} rows, {excel._MOST_COLUMNS} columns and {excel._MOST_CELLS} cells",
+        "x3p": f"{x3p._MAX_ENTRIES} entries; {x3p._MAX_XML >> 20} MiB of XML",
+        "npz": f"{arrays._MAX_ENTRIES} entries",
+        "jcamp": f"2^{jcamp._MOST.bit_length() - 1} points",
+        "columns": f"columns in text | {columns._MAX_BYTES >> 20} MiB",
+        "instruments": f"of instruments | {instruments._MAX_BYTES >> 20} MiB",
+        "scans": f"2^{archives.MAX_POINTS.bit_length() - 1} points",
+        "archives": f"more than {archives._RATIO_FROM >> 20} MiB is at most {archives._MAX_RATIO} times",
+    }
+    assert [name for name, words in limits.items() if words not in text] == []
 
 
 def dotted_names(text: str) -> set[str]:

@@ -68,6 +68,8 @@ class Columns:
     """Corrections, for the history."""
     doubts: tuple[str, ...] = ()
     """Signs of lost or damaged values, for warnings."""
+    rows_above: tuple[tuple[str, tuple[str, ...]], ...] = ()
+    """Lines above the numbers that have a cell for each column, from the top: the line as in ``header``, and its cells."""
 
 
 def read_columns(path: Path) -> Columns:
@@ -130,6 +132,7 @@ def parse_columns(text: str, path: Path, notes: Sequence[str] = ()) -> Columns:
     """:func:`read_columns` of text that is in memory already; ``path`` is for messages, ``notes`` begin those of the table."""
     notes = list(notes)
     header: list[str] = []
+    above: list[str] = []
     remarks: list[str] = []
     rows: list[tuple[int, str]] = []
     for place, raw in enumerate(re.split(r"\r\n|\r|\n", text), start=1):
@@ -142,6 +145,7 @@ def parse_columns(text: str, path: Path, notes: Sequence[str] = ()) -> Columns:
             rows.append((place, body))
         elif not rows or line.startswith(_COMMENT):
             (remarks if rows else header).append(re.sub(r"^[#!*;/]+\s*", "", line))
+            above += [] if rows else [line]
         else:
             raise InputError(
                 path,
@@ -159,12 +163,14 @@ def parse_columns(text: str, path: Path, notes: Sequence[str] = ()) -> Columns:
         notes.append("decimal commas were read as decimal points")
     split = _cells(rows, separator, path)
     values = np.array([[number(cell, decimal) for cell in cells] for cells in split], dtype=float)
-    names = _names(header, separator, values.shape[1])
+    cells_above = [_cells_above(*lines, separator, values.shape[1]) for lines in zip(above, header, strict=True)]
+    names = _names(cells_above)
     lines = np.array([place for place, _ in rows])
     doubts = contradictions(header, values[:, 0])
     for cells in zip(*split, strict=True):
         doubts += odd_decimals(cells, lambda i: f"in line {lines[i]}")
-    return Columns(path.name, (*header, *remarks), names, values, lines, tuple(notes), tuple(doubts))
+    rows_above = tuple((line, tuple(cells)) for line, cells in zip(header, cells_above, strict=True) if cells)
+    return Columns(path.name, (*header, *remarks), names, values, lines, tuple(notes), tuple(doubts), rows_above)
 
 
 def wavelengths(columns: Columns, *, key: str) -> tuple[Array, str]:
@@ -478,26 +484,31 @@ def _cells(rows: Sequence[tuple[int, str]], separator: str | None, path: Path) -
     return split
 
 
-def _names(header: Sequence[str], separator: str | None, width: int) -> tuple[str, ...] | None:
+def _names(cells_above: Sequence[list[str] | None]) -> tuple[str, ...] | None:
     """Titles of the columns, from the line above the numbers; from the two lines above them if the lower one has units alone."""
-    patterns = [re.escape(separator)] if separator else [r"\t+| {2,}", r"\s+"]
-    for pattern in patterns:
-        titles = [_titles(line, pattern, width) for line in header[-2:]]
-        if not titles or titles[-1] is None:
-            continue
-        above = titles[0]
-        if len(titles) > 1 and above is not None and all(map(_UNIT_ALONE.fullmatch, titles[-1])):
-            return tuple(f"{name} {unit}".strip() for name, unit in zip(above, titles[-1], strict=True))
-        return tuple(titles[-1])
-    return None
+    titles = cells_above[-1] if cells_above else None
+    if titles is None:
+        return None
+    above = cells_above[-2] if len(cells_above) > 1 else None
+    if above is not None and all(map(_UNIT_ALONE.fullmatch, titles)):
+        return tuple(f"{name} {unit}".strip() for name, unit in zip(above, titles, strict=True))
+    return tuple(titles)
 
 
-def _titles(line: str, pattern: str, width: int) -> list[str] | None:
+def _cells_above(line: str, without_mark: str, separator: str | None, width: int) -> list[str] | None:
     """Cells of a line above the numbers; None unless there is one for each column, empty ones at the end apart."""
-    cells = [cell.strip() for cell in re.split(pattern, line.strip())]
-    while len(cells) > width and not cells[-1]:
-        cells.pop()
-    return cells if len(cells) == width else None
+    patterns = [re.escape(separator)] if separator else [r"\t+| {2,}", r"\s+"]
+    # A separator before the first cell may look like the mark of a comment, or like a blank.
+    blanks = " " if separator == "\t" else None
+    texts = [re.sub("^[#!*/]+", "", line), without_mark] if separator else [without_mark]
+    for text in texts:
+        for pattern in patterns:
+            cells = [cell.strip() for cell in re.split(pattern, text.strip(blanks))]
+            while len(cells) > width and not cells[-1]:
+                cells.pop()
+            if len(cells) == width:
+                return cells
+    return None
 
 
 def _shorten(text: str, length: int = 60) -> str:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import mimetypes
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path, PurePosixPath
 from typing import TypeVar
@@ -26,6 +26,10 @@ class FileFormat:
     """Extensions that select it; without any it must be named."""
     description: str
     """What a file holds, or what reading it needs, for the documentation."""
+    read_by: str = field(default="brdfpipe", kw_only=True)
+    """The program whose code reads it."""
+    tried: str = field(default="", kw_only=True)
+    """Files on which reading was tried, and what they are, for the documentation; empty without any but those that the tests write."""
 
 
 AnyFormat = TypeVar("AnyFormat", bound=FileFormat)

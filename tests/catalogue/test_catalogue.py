@@ -685,13 +685,31 @@ def test_a_wrong_geometry_in_the_description_is_found_by_the_check(tmp_path: Pat
         ("measured: {gloss: {60: 1}, uncertainty: {gloss: 0}}", "found 0; accepted: .* above 0"),
         ("measured: {gloss: {60: 1}, date: May}", r"measured\.date: not an accepted value"),
         ("measured: {lab: [{geometry: '45az75', lab: [1, 1, 1]}]}", r"measured\.lab\.0\.geometry: .*unknown geometry"),
+        (
+            "measured: {lab: [{geometry: 'd:8', lab: [1, 1, 1]}]}",
+            r"measured\.lab\.0\.geometry: .*of spheres: 8:total \(specular included\), 8:sce \(excluded\)",
+        ),
         ("measured: {lab: [{geometry: '45:0', lab: [1, 1, 1], illuminant: D56}]}", "unknown illuminant 'D56'"),
+        (
+            "measured: {lab: [{geometry: '8:sce', lab: [101, 1, 1]}]}",
+            r"measured\.lab\.0\.lab: invalid colour.*L\* <= 100",
+        ),
+        (
+            "measured: {lab: [{geometry: '8:total', lab: [101, 1, 1]}]}",
+            r"measured\.lab\.0\.lab: invalid colour.*L\* <= 100",
+        ),
     ],
 )
 def test_a_wrong_reading_is_refused_by_its_key(tmp_path: Path, text: str, problem: str) -> None:
     folder = write(tmp_path, "m", COLOUR + text)
     with pytest.raises(InputError, match=problem):
         catalogue.check_formats(catalogue.load_material(folder, catalogue.load_config()))
+
+
+def test_a_colour_without_the_specular_is_a_reading_and_a_highlight_may_be_brighter_than_white(tmp_path: Path) -> None:
+    lab = "{geometry: '8:sce', lab: [26, 0, 0]}, {geometry: '45as15', lab: [130, 0, 0]}"
+    folder = write(tmp_path, "m", f"{COLOUR}measured: {{lab: [{lab}]}}")
+    catalogue.check_formats(catalogue.load_material(folder, catalogue.load_config()))
 
 
 @pytest.mark.parametrize(

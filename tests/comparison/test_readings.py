@@ -12,9 +12,12 @@ import pytest
 import samples
 import xarray as xr
 
+from brdfpipe import vocabulary
 from brdfpipe.appearance import compute_appearance
-from brdfpipe.bsdf import lambert_gauss
-from brdfpipe.comparison.readings import compare_readings, readings_of, readings_table
+from brdfpipe.appearance.colours import colour_without_specular
+from brdfpipe.bsdf import lambert_gauss, microfacet
+from brdfpipe.bsdf.input_uncertainty import uncertainty
+from brdfpipe.comparison.readings import compare_readings, predicted_values, readings_of, readings_table
 from brdfpipe.errors import BrdfpipeError
 from brdfpipe.report.material.readings import readings_section
 
@@ -103,3 +106,27 @@ def test_the_table_holds_the_same_numbers(bsdf: xr.Dataset, read: dict) -> None:
     assert list(table["unit"]) == ["GU"] * 5 + ["1"] * 3
     for column, name in (("read", "read_value"), ("predicted", "predicted_value"), ("predicted_u", "predicted_u")):
         np.testing.assert_allclose(table[column], result[name], rtol=1e-5, atol=1e-12)
+
+
+def test_a_colour_without_the_specular_is_compared_with_its_uncertainty() -> None:
+    spectrum = samples.spectrum(0.3)
+    stated = vocabulary.label(
+        spectrum.assign(total_reflectance_u=xr.full_like(spectrum["total_reflectance"], 0.01).drop_attrs()), "spectrum"
+    )
+    bsdf, brighter = (
+        microfacet.build(samples.beckmann(0.1), index=1.5, spectrum=one, multiple_scattering="none")
+        for one in (spectrum, samples.spectrum(0.31))
+    )
+    changes = uncertainty(bsdf, spectrum=stated)
+    uncertain = bsdf.merge(changes, combine_attrs="override")
+    uncertain.attrs |= {"uncertainty_not_stated": changes.attrs["uncertainty_not_stated"]}
+    read = colour_without_specular(bsdf).values
+    measured = {"lab": [{"geometry": "8:sce", "lab": read.tolist()}, {"geometry": "8:total", "lab": [50, 0, 0]}]}
+    result = compare_readings(uncertain, measured)
+    assert list(result["reading"].values[:3]) == ["L* 8:sce, D65/10°", "a* 8:sce, D65/10°", "b* 8:sce, D65/10°"]
+    assert np.abs(result["z"].values[:3]).max() < 1e-6
+    of_lightness = float(colour_without_specular(brighter)[0] - read[0])
+    assert result["predicted_u"].values[0] == pytest.approx(of_lightness, rel=0.02)
+    assert predicted_values(uncertain, readings_of(measured)) == pytest.approx(result["predicted_value"].values)
+    # Without an uncertainty of the spectrum that of the colour is not known, as that of the total reflectance.
+    assert np.isnan(compare_readings(bsdf, measured)["predicted_u"]).all()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import random
 import re
 import warnings as python_warnings
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -12,8 +13,10 @@ import pytest
 import xarray as xr
 
 from brdfpipe.errors import BrdfpipeError, InputError
+from brdfpipe.file_formats import format_of
 from brdfpipe.spectra import ingest, read_spectrum
 from brdfpipe.spectra.colour_science import colour
+from brdfpipe.spectra.formats.registry import FORMATS
 from brdfpipe.vocabulary import validate, warnings
 
 NM = np.arange(400, 701, 10)
@@ -55,6 +58,11 @@ def test_every_real_file_is_read_right(
     assert spectrum.sizes["wavelength"] == count
     assert tuple(spectrum["wavelength"].values[[0, -1]]) == ends
     assert spectrum["total_reflectance"].values[[0, -1]] == pytest.approx(values, rel=1e-12)
+
+
+def test_the_table_of_formats_names_the_real_files_that_are_read_here() -> None:
+    declared = {name: format.name for format in FORMATS.values() for name in re.findall(r"[\w.]+\.\w+", format.tried)}
+    assert declared == {name: format_of(Path(name), None, FORMATS, "").name for name, *_ in REAL}
 
 
 @pytest.mark.parametrize(
@@ -297,6 +305,83 @@ def test_excel_cells_formatted_as_percentages_are_read_as_percent(tmp_path: Path
         tmp_path, [["nm", "R"], *([int(nm), float(r) / 20] for nm, r in zip(NM, RED, strict=True))], "0.00%"
     )
     assert read(path)["total_reflectance"].values == pytest.approx(RED / 20, rel=1e-9)
+
+
+@pytest.fixture
+def cells_read(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """Counts the rows and cells that openpyxl makes of a sheet, one number a row."""
+    sheets = pytest.importorskip("openpyxl.worksheet._read_only")
+    counts: list[int] = []
+    original = sheets.ReadOnlyWorksheet._cells_by_row
+
+    def counted(*args, **options):
+        for row in original(*args, **options):
+            counts.append(len(row))
+            yield row
+
+    monkeypatch.setattr(sheets.ReadOnlyWorksheet, "_cells_by_row", counted)
+    return counts
+
+
+def resized(path: Path, dimension: str, more_rows: str = "") -> Path:
+    """The workbook with another stated dimension (none if empty), and more rows at the end of its first sheet."""
+    with zipfile.ZipFile(path) as archive:
+        entries = {name: archive.read(name) for name in archive.namelist()}
+    sheet = entries["xl/worksheets/sheet1.xml"].decode()
+    stated = f'<dimension ref="{dimension}" />' if dimension else ""
+    sheet = re.sub(r"<dimension [^>]*/>", stated, sheet).replace("</sheetData>", f"{more_rows}</sheetData>")
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, content in (entries | {"xl/worksheets/sheet1.xml": sheet.encode()}).items():
+            archive.writestr(name, content)
+    return path
+
+
+COLUMNS = [["nm", "R [%]"], *([int(nm), float(100 * r)] for nm, r in zip(NM, RED, strict=True))]
+
+
+def test_a_sheet_that_states_millions_of_cells_is_refused_before_any_is_read(
+    tmp_path: Path, cells_read: list[int]
+) -> None:
+    path = resized(workbook(tmp_path, COLUMNS), "A1:XFD1048576")
+    with pytest.raises(InputError, match=r"too large for spectra; found 1048576 rows, 16384 columns; accepted: up to"):
+        read(path)
+    assert cells_read == []
+
+
+@pytest.mark.parametrize("dimension", ["", "A1:B32"])
+@pytest.mark.parametrize(
+    ("rows", "most"),
+    [
+        ("".join(f'<row r="{i}"><c r="A{i}"><v>{i}</v></c></row>' for i in range(33, 20000)), 2**14 + 1),
+        ('<row r="1048576"><c r="A1048576"><v>1</v></c></row>', 2**14 + 1),
+        ('<row r="33"><c r="XFD33"><v>1</v></c></row>', 33),
+        ("".join(f'<row r="{i}"><c r="AAA{i}"><v>{i}</v></c></row>' for i in range(33, 2000)), 2**20 // 703 + 40),
+    ],
+    ids=["rows", "last row", "last column", "cells"],
+)
+def test_a_sheet_that_holds_too_many_cells_is_refused_after_the_limit(
+    tmp_path: Path, cells_read: list[int], dimension: str, rows: str, most: int
+) -> None:
+    path = resized(workbook(tmp_path, COLUMNS), dimension, rows)
+    with pytest.raises(InputError, match=r"too large for spectra; .*delete what lies beyond the spectra"):
+        read(path)
+    assert 0 < len(cells_read) <= most
+    assert sum(cells_read) <= 2**20 + 2**14
+
+
+def test_a_workbook_that_is_compressed_too_much_is_refused_before_it_is_opened(
+    tmp_path: Path, cells_read: list[int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = resized(workbook(tmp_path, COLUMNS), "", "<row/>" * 3_000_000)
+    assert path.stat().st_size < 200_000
+    monkeypatch.setattr("openpyxl.load_workbook", lambda *args, **options: pytest.fail("the workbook was opened"))
+    with pytest.raises(InputError, match=r"suspiciously large.*up to 64 MiB, compressed at most 200 times"):
+        read(path)
+
+
+def test_rows_beyond_the_stated_dimension_are_read(tmp_path: Path) -> None:
+    path = resized(workbook(tmp_path, COLUMNS), "A1:B5")
+    assert read(path)["total_reflectance"].values == pytest.approx(RED)
 
 
 @pytest.mark.parametrize("content", [b"", b"PK\x03\x04 no archive", b"nm;R\n"])

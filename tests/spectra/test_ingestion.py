@@ -125,3 +125,15 @@ def test_a_gloss_trap_needs_a_reflectance_with_the_specular_excluded() -> None:
 def test_the_half_angle_of_a_gloss_trap_is_checked_with_the_keys(keys: Any, source: Any, angle: Any) -> None:
     with pytest.raises(ValidationError, match="specular_trap"):
         keys.model_validate({**source, "geometry": "sce", "specular_trap": angle})
+
+
+def test_warnings_of_both_reflectances_say_of_which_they_are(tmp_path: Path) -> None:
+    path = tmp_path / "both.csv"
+    rows = "".join(f"{nm};30;25\n" for nm in range(400, 701, 10) if nm != 550)
+    path.write_text(f"nm;R SCI %;R SCE %\n{rows}", encoding="utf-8")
+    half = {"file": path.name}
+    words = (
+        "both.csv: the step from 540 to 560 nm differs from the others. Look for a lost row or a mistyped wavelength."
+    )
+    spectrum = ingest({"sci": half, "sce": half}, path, excluded=path)
+    assert warnings(spectrum) == [f"SCI: {words}", f"SCE: {words}"]

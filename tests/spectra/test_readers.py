@@ -10,6 +10,7 @@ import pytest
 from brdfpipe.errors import InputError
 from brdfpipe.spectra import ingest, read_spectrum
 from brdfpipe.spectra.colour_science import colour
+from brdfpipe.spectra.recovery import specular_reflectance
 from brdfpipe.store import save_dataset
 from brdfpipe.vocabulary import validate, warnings
 
@@ -199,7 +200,7 @@ def test_repeated_readings_that_disagree_are_warned_about(read) -> None:
 
 def test_a_percent_header_makes_dark_values_percent(read) -> None:
     dark = "".join(f"{nm};1.5\n" for nm in range(400, 701, 20))
-    assert (read(HEAD + dark)["total_reflectance"] == 0.015).all()
+    assert (read(HEAD + dark, geometry="sce")["total_reflectance"] == 0.015).all()
 
 
 def test_values_above_2_without_a_stated_scale_are_percent(read) -> None:
@@ -349,12 +350,20 @@ def test_a_relative_humidity_is_no_unit_of_reflectance(read) -> None:
 
 
 @pytest.mark.parametrize("line", ["refl. in %", "scale: 0-100 %", "%R", "reflectance 100% white"])
-def test_percent_in_the_header_of_values_below_1_is_warned_about(read, line: str) -> None:
+@pytest.mark.parametrize("scale", [None, "percent"])
+def test_percent_in_the_header_of_values_below_2_is_doubted_with_and_without_the_key(
+    read, line: str, scale: str | None
+) -> None:
     text = f"# {line}\nnm;R\n" + "".join(f"{nm};0.5\n" for nm in range(400, 701, 20))
-    spectrum = read(text)
+    spectrum = read(text, geometry="sce", scale=scale)
     assert float(spectrum["total_reflectance"][0]) == 0.005
-    assert "set `spectrum.scale: fraction`" in warnings(spectrum)[0]
-    assert warnings(read(text, scale="percent")) == []
+    assert warnings(spectrum) == [
+        "sample.csv: no value exceeds 0.5 percent. If they are fractions, set `spectrum.scale: fraction`; if the sample is that dark, "
+        "accept this warning."
+    ]
+    says = "`scale: percent`" if scale else "percent in the header"
+    with pytest.raises(InputError, match=f"the scale is wrong.*found {says}, values up to 0.5; accepted: fraction, if"):
+        read(text, scale=scale)
 
 
 @pytest.mark.parametrize("column", [0, 1, 5, -1, "green", "nm", True, 2.0])
@@ -455,18 +464,44 @@ def test_a_column_labelled_sce_is_never_read_as_sci(read, swapped: bool) -> None
     assert read(text, geometry=None, column=other).attrs["geometry"] == "sce"
 
 
-def test_fractions_called_percent_are_named_as_such(read) -> None:
-    text = "nm;R\n" + "".join(f"{nm};{0.1973 + nm / 1000:.4f}\n" for nm in range(400, 701, 20))
+def flat(largest: float, digits: int) -> str:
+    """Values from half of a largest one to it."""
+    return "".join(f"{nm};{largest * nm / 700:.{digits}f}\n" for nm in range(400, 701, 10))
+
+
+@pytest.mark.parametrize("head", ["nm;R\n", HEAD])
+@pytest.mark.parametrize("digits", [2, 3, 5])
+@pytest.mark.parametrize("largest", [0.9, 1.07, 1.5])
+def test_fractions_called_percent_are_named_as_such(read, head: str, digits: int, largest: float) -> None:
+    text = head + flat(largest, digits)
     with pytest.raises(
-        InputError, match=r"the scale is wrong.*`scale: percent`, values up to 0\.8973; accepted: fraction"
+        InputError, match=r"the scale is wrong.*smooth black surface reflects more than 1\.6"
     ) as refusal:
         read(text, scale="percent")
     assert refusal.value.key == "spectrum.scale"
     (warning,) = warnings(read(text, scale="percent", geometry="sce"))
-    assert "If they are fractions, set `spectrum.scale: fraction`" in warning
-    # A dark sample in percent, with the two decimals of an instrument, is as it is.
-    dark = "nm;R\n" + "".join(f"{nm};{0.2 + nm / 10000:.2f}\n" for nm in range(400, 701, 20))
-    assert warnings(read(dark, scale="percent", geometry="sce")) == []
+    assert (
+        f"no value exceeds {largest:g} percent. If they are fractions, set `spectrum.scale: fraction`; if the"
+        in warning
+    )
+    assert warnings(read(head + flat(2.1, digits), scale="percent", geometry="sce")) == []
+
+
+def test_the_least_reflectance_with_the_specular_is_that_of_the_lowest_index(tmp_path: Path) -> None:
+    assert specular_reflectance(1.29, 8.0, np.array([550.0]))[0] == pytest.approx(0.016, abs=1e-4)
+    path = tmp_path / "sample.csv"
+    path.write_text(HEAD + flat(1.9, 2), encoding="utf-8")
+    (warning,) = warnings(ingest({"file": path.name, "geometry": "sci"}, path, 1.5))
+    assert "no value exceeds 1.9 percent" in warning
+    assert "if the specular was excluded, `spectrum.geometry: sce`" in warning
+
+
+def test_a_real_white_in_fractions_called_percent_is_refused(shared_data: Path) -> None:
+    path = shared_data / "spectra" / "munsell_over_unity.csv"
+    with pytest.raises(InputError, match=r"the scale is wrong.*values up to 1\.06616; accepted: fraction"):
+        read_spectrum(path, scale="percent", geometry="sci")
+    messages = warnings(read_spectrum(path, scale="percent", geometry="sce"))
+    assert "no value exceeds 1.06616 percent. If they are fractions" in messages[0]
 
 
 def test_long_lists_of_columns_are_shortened(read) -> None:

@@ -22,6 +22,9 @@ from brdfpipe.spectra import colorimetry
 TOTAL = "8:total"
 """Name of the sphere geometry: 8° incidence, all reflected light, specular included."""
 
+WITHOUT_SPECULAR = "8:sce"
+"""Name of the sphere geometry with a gloss trap: 8° incidence, specular excluded."""
+
 FLOP_GEOMETRIES = SETS["E2194"]
 """Geometries of the flop index: 15, 45 and 110° from the mirror direction."""
 
@@ -103,7 +106,9 @@ def colour(
     return _labelled("lab", np.concatenate([colorimetry.xyz_to_lab(sphere, white)[None], single]), directions)
 
 
-def colour_without_specular(bsdf: xr.Dataset, illuminant: str = "D65", observer: int = 10) -> xr.DataArray:
+def colour_without_specular(
+    bsdf: xr.Dataset, illuminant: str = "D65", observer: int = 10, *, reflector: Reflector | None = None
+) -> xr.DataArray:
     """CIE L*a*b* of the reflectance at 8° with the specular component excluded, as a sphere instrument with a gloss trap reads it.
 
     The trap takes the light within :data:`.SPECULAR_TRAP` of the mirror direction, and what is mirrored into that direction alone.
@@ -112,6 +117,7 @@ def colour_without_specular(bsdf: xr.Dataset, illuminant: str = "D65", observer:
     ----------
     bsdf : kind ``bsdf``
     illuminant, observer : CIE illuminant name; 2 or 10 [degree]
+    reflector : evaluated instead of the BSDF
 
     Returns
     -------
@@ -121,9 +127,10 @@ def colour_without_specular(bsdf: xr.Dataset, illuminant: str = "D65", observer:
     rule = hemisphere.around_mirror(8.0, evaluator.lobe_slope or _TRAP_SLOPE, SPECULAR_TRAP)
     turns = hemisphere.azimuths(evaluator.isotropic)[:, None]
     at = np.broadcast_arrays(8.0, turns, rule.theta, rule.phi + turns)
-    trapped = (rule.weight[:, None] * evaluator.evaluate(at[0], at[1], at[2], at[3], None)).sum(axis=1).mean(axis=0)
-    trapped = trapped + evaluator.specular(np.full(turns.size, 8.0), turns[:, 0], None)[0].mean(axis=0)
-    wavelength, total = evaluator.total_reflectance()
+    seen = evaluator if reflector is None else reflector
+    trapped = (rule.weight[:, None] * seen.evaluate(at[0], at[1], at[2], at[3], None)).sum(axis=1).mean(axis=0)
+    trapped = trapped + seen.specular(np.full(turns.size, 8.0), turns[:, 0], None)[0].mean(axis=0)
+    wavelength, total = total_reflectance(bsdf, reflector)
     left = np.maximum(total - trapped, 0.0)
     xyz = colorimetry.reflectance_to_xyz(wavelength, left, illuminant, observer)
     lab = colorimetry.xyz_to_lab(xyz, colorimetry.weights(illuminant, observer).white)

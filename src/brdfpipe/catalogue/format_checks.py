@@ -124,14 +124,19 @@ def refused_exports(material: Material) -> dict[str, str]:
 
 
 def _check_reading(material: Material, number: int, colour: Mapping[str, Any]) -> None:
-    from brdfpipe.appearance.colours import TOTAL
+    from brdfpipe.appearance.colours import TOTAL, WITHOUT_SPECULAR
     from brdfpipe.flakes.geometries import directions
+    from brdfpipe.spectra.recovery import check_lab
 
     where = f"measured.lab.{number}"
     check_illuminant(material.folder / DESCRIPTION, colour["illuminant"], f"{where}.illuminant")
-    if colour["geometry"] == TOTAL:
+    if colour["geometry"] in (TOTAL, WITHOUT_SPECULAR):
+        # Towards a single direction a paint may be brighter than white.
+        with naming_key(f"{where}.lab", "spectrum.lab"):
+            check_lab(colour["lab"])
         return
     try:
         directions(colour["geometry"])
     except BrdfpipeError as error:
-        raise InputError(material.folder / DESCRIPTION, str(error), where=f"{where}.geometry") from None
+        problem = f"{error}; of spheres: {TOTAL} (specular included), {WITHOUT_SPECULAR} (excluded)"
+        raise InputError(material.folder / DESCRIPTION, problem, where=f"{where}.geometry") from None

@@ -206,8 +206,11 @@ def _ladder_table() -> str:
 
 
 def _spectrum_format_table() -> str:
-    rows = ["| Format | Extensions | Holds |", "|---|---|---|"]
-    rows += [f"| `{name}` | {_extensions(known)} | {known.description} |" for name, known in SPECTRUM_FORMATS.items()]
+    rows = ["| Format | Extensions | Holds | Read by | Tried on |", "|---|---|---|---|---|"]
+    rows += [
+        f"| `{name}` | {_extensions(known)} | {known.description} | {known.read_by} | {known.tried or 'files that the tests write'} |"
+        for name, known in SPECTRUM_FORMATS.items()
+    ]
     return "\n".join(rows)
 
 

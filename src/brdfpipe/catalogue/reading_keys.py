@@ -40,7 +40,7 @@ class ColourReading(Keys):
     """A colour at one geometry."""
 
     geometry: str = key(
-        'the geometry by name: "8:total" (a sphere, specular included), "45:0", "45as15" and others of `appearance.geometries`',
+        'the geometry by name: "8:total" (a sphere, specular included), "8:sce" (excluded, by a gloss trap), "45:0", "45as15" and others of `appearance.geometries`',
         required=True,
         min_length=3,
         max_length=32,

@@ -16,13 +16,13 @@ import pandas as pd
 import xarray as xr
 
 from brdfpipe import vocabulary
-from brdfpipe.appearance.colours import TOTAL, colour
+from brdfpipe.appearance.colours import TOTAL, WITHOUT_SPECULAR, colour, colour_without_specular
 from brdfpipe.appearance.computation import compute_appearance
 from brdfpipe.appearance.gloss_meter import gloss
 from brdfpipe.appearance.haze import reflectance_haze
 from brdfpipe.bsdf.change_variables import NOT_STATED
 from brdfpipe.bsdf.registry import representation
-from brdfpipe.bsdf.source_changes import uncertain
+from brdfpipe.bsdf.source_changes import SourceChanges, uncertain
 from brdfpipe.comparison.reading_defaults import LAB_U, REFLECTANCE_HAZE_U, TRANSMITTANCE_U, gloss_u
 from brdfpipe.geometry import Array
 
@@ -72,8 +72,10 @@ def _readings(measured: Mapping[str, Any]) -> Iterator[Reading]:
         seen_under = entry.get("illuminant", "D65"), entry.get("observer", 10)
         for component, value in zip(_COMPONENTS, entry["lab"], strict=True):
             title = f"{component} {entry['geometry']}, {seen_under[0]}/{seen_under[1]}°"
-            at = {"geometry": entry["geometry"], "component": component}
-            yield Reading(title, "1", value, stated.get("lab", LAB_U), "colour", "lab", at, seen_under)
+            at, variable = {"geometry": entry["geometry"], "component": component}, "lab"
+            if at["geometry"] == WITHOUT_SPECULAR:
+                at, variable = {"component": component}, "lab_sce"
+            yield Reading(title, "1", value, stated.get("lab", LAB_U), "colour", variable, at, seen_under)
     if "transmittance" in measured:
         u = stated.get("transmittance", TRANSMITTANCE_U)
         yield Reading("transmittance", "1", measured["transmittance"], u, "transmission", "luminous_transmittance", {})
@@ -146,9 +148,22 @@ def _predicted(bsdf: xr.Dataset, readings: Sequence[Reading]) -> dict[str, tuple
             parts=list(dict.fromkeys(one.part for one in group)),
             standard_geometries=False,
         )
+        if any(one.variable == "lab_sce" for one in group):
+            appearance["lab_sce_u"] = ("component", _without_specular_u(bsdf, seen_under))
         for reading in group:
             found[reading.title] = _one(appearance, bsdf, reading)
     return found
+
+
+def _without_specular_u(bsdf: xr.Dataset, seen_under: tuple[str, int]) -> Array:
+    """Standard uncertainty of L*a*b* with the specular excluded from the inputs of the BSDF, (3,); NaN where that of the spectrum is not known."""
+    if not uncertain(bsdf) or "spectrum" in str(bsdf.attrs.get(NOT_STATED, "")).split(", "):
+        return np.full(3, np.nan)
+    changes = SourceChanges.of(bsdf)
+    given, *changed = (
+        colour_without_specular(bsdf, *seen_under, reflector=one).values for one in (changes.given, *changes.changed)
+    )
+    return np.asarray(np.sqrt(np.square(np.array(changed) - given).sum(axis=0)))
 
 
 def predicted_values(bsdf: xr.Dataset, readings: Sequence[Reading]) -> Array:
@@ -160,9 +175,15 @@ def predicted_values(bsdf: xr.Dataset, readings: Sequence[Reading]) -> Array:
         seen_under: colour(bsdf, [one for one in names if one != TOTAL], *seen_under)
         for seen_under, names in _geometries(readings).items()
     }
+    excluded = {
+        seen_under: xr.Dataset({"lab_sce": colour_without_specular(bsdf, *seen_under)})
+        for seen_under in {one.seen_under for one in readings if one.variable == "lab_sce"}
+    }
     values = []
     for one in readings:
-        if one.part == "colour":
+        if one.variable == "lab_sce":
+            values.append(_at(excluded[one.seen_under], "lab_sce", one.at))
+        elif one.part == "colour":
             values.append(_at(xr.Dataset({"lab": labs[one.seen_under]}), "lab", one.at))
         else:
             known = {"gloss": units.get(one.at.get("gloss_angle"), math.nan), "haze": units[60.0] - units[20.0]}

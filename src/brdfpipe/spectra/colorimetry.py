@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from brdfpipe.errors import BrdfpipeError
+from brdfpipe.errors import BrdfpipeError, abbreviated
 from brdfpipe.geometry import Array
 
 OBSERVERS = {2: "CIE 1931 2 Degree Standard Observer", 10: "CIE 1964 10 Degree Standard Observer"}
@@ -68,7 +68,10 @@ def illuminant_name(name: str) -> str:
         return known[wanted]
     nearest = [match for names in (usual, known) for match in difflib.get_close_matches(wanted, names, n=1, cutoff=0.5)]
     hint = f" (nearest is {known[nearest[0]]})" if nearest else ""
-    raise BrdfpipeError(f"unknown illuminant {str(name)[:40]!r}{hint}; accepted: {', '.join(known.values())}")
+    listed = abbreviated([*_USUAL_ILLUMINANTS, *known.values()], len(_USUAL_ILLUMINANTS))
+    raise BrdfpipeError(
+        f"unknown illuminant {str(name)[:40]!r}{hint}; accepted: {listed} (docs/materials.md lists all)"
+    )
 
 
 def weights(illuminant: str = "D65", observer: int = 10) -> Weights:

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
+from itertools import pairwise
 
 import numpy as np
 
 from brdfpipe.columns import Columns
 from brdfpipe.errors import InputError, abbreviated
-from brdfpipe.spectra import header_words
-from brdfpipe.spectra.header_words import KnownGeometry
+from brdfpipe.spectra import header_words, specular_words
+from brdfpipe.spectra.specular_words import KnownGeometry
 
 _MOST_NAMES = 10
 """Columns that a message lists."""
@@ -82,15 +85,73 @@ def chosen(
         listed = abbreviated([in_words(table, i) for i in unused], _MOST_NAMES)
         sentence = f"{in_words(table, value)} was read; ignored: {listed}"
         log.history.append(f"{table.file}: {sentence}")
-        read_geometry = (_stated(table, value) if geometry.is_fallback else None) or geometry.name
-        told_apart = read_geometry is not None and all(_stated(table, i) not in (None, read_geometry) for i in unused)
+        read_geometry = (stated_geometry(table, value) if geometry.is_fallback else None) or geometry.name
+        told_apart = read_geometry is not None and all(
+            stated_geometry(table, i) not in (None, read_geometry) for i in unused
+        )
         if column is None and not told_apart:
             log.warnings.append(f"{sentence}. Name the column to read with `spectrum.column` in material.yaml.")
     return replace(log, value=value, deviation=deviation)
 
 
-def _stated(table: Columns, i: int) -> str | None:
-    return header_words.geometry(title_of(table, i))
+def stated_geometry(table: Columns, i: int) -> str | None:
+    """``sci`` or ``sce`` as the title of a column says, or a cell in any row above the numbers; None if neither does, or they contradict each
+    other."""
+    own = specular_words.of_title(title_of(table, i))
+    if own is not None:
+        return own
+    labels, _ = _labels(table.rows_above)
+    found = {kinds[i - 1] for kinds in labels.values()} - {None}
+    if not found and table.values.shape[1] > 2:  # one word below the other
+        pairs = [pair for pair in pairwise(_cells_of(table, i)) if not any(map(specular_words.geometry, pair))]
+        found = {specular_words.geometry(" ".join(pair)) for pair in pairs} - {None}
+    return found.pop() if len(found) == 1 else None
+
+
+def header_geometry(table: Columns) -> str | None:
+    """``sci`` or ``sce`` as the header says of the whole file; None if it does not, or says both."""
+    labels, of_all = _labels(table.rows_above)
+    lines = set(table.header) - {*labels, *of_all}
+    if table.names and len(table.names) > 2:
+        lines -= {table.rows_above[-1][0]}
+    found = {*map(specular_words.of_line, lines), *of_all.values()} - {None}
+    return found.pop() if len(found) == 1 else None
+
+
+def unclear_geometry(table: Columns, i: int) -> str:
+    """Words of a column or of the header that may state the specular component and are not understood; empty if there are none."""
+    own = [title_of(table, i), " ".join(_cells_of(table, i))]
+    if found := next((text for text in own if specular_words.is_unclear(text) or specular_words.says_both(text)), ""):
+        return found
+    lines = [line for line in table.header if line not in {row for row, _ in table.rows_above}]
+    return next((line for line in lines if specular_words.is_unclear(line)), "")
+
+
+@lru_cache(maxsize=8)
+def _labels(
+    rows_above: tuple[tuple[str, tuple[str, ...]], ...],
+) -> tuple[dict[str, tuple[str | None, ...]], dict[str, str]]:
+    """What rows above the numbers say of each column of values, and what those say that are alike for all columns; both by line."""
+    labels: dict[str, tuple[str | None, ...]] = {}
+    of_all: dict[str, str] = {}
+    for line, (title, *cells) in rows_above:
+        filled: list[str] = []
+        for cell in cells:
+            # A spreadsheet writes the text of joined cells into the first of them.
+            filled.append(cell or (filled[-1] if filled else ""))
+        kinds = tuple(specular_words.of_cell(title, cell) for cell in filled)
+        first, *others = {*kinds}
+        is_sentence = re.search("[;,\t]", line) is None and None in kinds
+        if others and not is_sentence:
+            labels[line] = kinds
+        elif not others and first is not None:
+            of_all[line] = first
+    return labels, of_all
+
+
+def _cells_of(table: Columns, i: int) -> list[str]:
+    """The cells above a column that are not empty, from the top."""
+    return [cells[i] for _, cells in table.rows_above if cells[i]]
 
 
 def _of_geometry(table: Columns, values: Sequence[int], geometry: KnownGeometry) -> int:
@@ -99,7 +160,7 @@ def _of_geometry(table: Columns, values: Sequence[int], geometry: KnownGeometry)
         return values[0]
     for label in (geometry.name, None):
         for i in values:
-            if _stated(table, i) == label:
+            if stated_geometry(table, i) == label:
                 return i
     _refuse_other_geometry(table, values, geometry)
     return values[0]
@@ -107,10 +168,12 @@ def _of_geometry(table: Columns, values: Sequence[int], geometry: KnownGeometry)
 
 def _refuse_other_geometry(table: Columns, values: Sequence[int], geometry: KnownGeometry) -> None:
     """Refuse columns that are labelled with the other specular component."""
-    own = _stated(table, values[0])
+    own = stated_geometry(table, values[0])
     if not geometry.contradicts(own):
         return
-    fitting = [in_words(table, i) for i in range(1, table.values.shape[1]) if _stated(table, i) == geometry.name]
+    fitting = [
+        in_words(table, i) for i in range(1, table.values.shape[1]) if stated_geometry(table, i) == geometry.name
+    ]
     raise InputError(
         table.file,
         f"the column is labelled {str(own).upper()}, and the description says {str(geometry.name).upper()}",

@@ -1,10 +1,9 @@
-"""What the titles and header lines of a spectrum file say: scale, uncertainty, specular component and incidence."""
+"""What the titles and header lines of a spectrum file say: scale, uncertainty and incidence."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from typing import NamedTuple
 
 from brdfpipe.errors import InputError
 
@@ -35,21 +34,6 @@ _COVERAGE = re.compile(
 _SQUARED = re.compile(r"²|\^\s?2|\bvar(?:iance)?\b|(?:std|sd|sigma|σ)2\b", re.IGNORECASE)
 _RELATIVE = re.compile(r"(?<![^\W_])rel(?:ative?)?(?![^\W_])|relativ|%\s?(?:of|von)\b|/\s?R\b|\bcv\b", re.IGNORECASE)
 _EXPANDED = re.compile(r"\s*(?:U\d*|.*_U)(?![^\W_])|.*(?i:expanded|erweitert|\b9\d(?:\.\d+)?\s?%)")
-_INCLUDED = re.compile(
-    r"(?<![^\W_])(?:sci|spin|rsin)(?![^\W_])|\bdi\s?:\s?8|\b8°?\s?:\s?di\b|specular\s+(?:component\s+)?included|mit\s+glanz",
-    re.IGNORECASE,
-)
-_EXCLUDED = re.compile(
-    r"(?<![^\W_])(?:sce|spex|rsex)(?![^\W_])|\bde\s?:\s?8|\b8°?\s?:\s?de\b|specular\s+(?:component\s+)?excluded|ohne\s+glanz",
-    re.IGNORECASE,
-)
-_ABOUT_SPECULAR = re.compile(
-    r"\b(?:sc[ie]|sp(?:in|ex)|specular|spec|glanz|mode|modus|geometr(?:y|ie))\b", re.IGNORECASE
-)
-_BARE_SPECULAR = re.compile(r"spec(?:ular)?(?: (?:component|reflection))?|glanz(?:anteil)?", re.IGNORECASE)
-_WITH = re.compile(r"i|in|incl?\.?|included|inclusive|inkl\.?|mit|with", re.IGNORECASE)
-_WITHOUT = re.compile(r"e|ex|excl?\.?|excluded|exclusive|exkl\.?|ohne|without", re.IGNORECASE)
-_YES, _NO = re.compile(r"yes|y|ja|true|1|x|on", re.IGNORECASE), re.compile(r"no|n|nein|false|0|off", re.IGNORECASE)
 _LIGHT_FROM = re.compile(r"\blight from (\d+(?:\.\d+)?) degree")
 
 
@@ -99,44 +83,6 @@ def unusable_uncertainty(title: str, value_title: str) -> str:
     if _EXPANDED.match(title) and not _COVERAGE.search(title):
         return "it is expanded, and the title does not state the coverage factor k"
     return "its coverage factor is 0" if coverage_factor(title) <= 0 else ""
-
-
-class KnownGeometry(NamedTuple):
-    """Whether the specular component is included, as far as it is known before a file is read."""
-
-    name: str | None = None
-    """``sci`` or ``sce``; None if it is not known"""
-    is_fallback: bool = False
-    """Whether it counts only where the file states none"""
-
-    def contradicts(self, stated: str | None) -> bool:
-        """Whether a file that states this is refused."""
-        return None not in (self.name, stated) and stated != self.name and not self.is_fallback
-
-
-NOT_KNOWN = KnownGeometry()
-
-
-def geometry(words: str) -> str | None:
-    """``sci`` or ``sce``, specular component included or excluded; None if not stated, or both."""
-    included, excluded = bool(_INCLUDED.search(words)), bool(_EXCLUDED.search(words))
-    return None if included == excluded else "sci" if included else "sce"
-
-
-def geometry_of_cell(title: str, cell: str) -> str | None:
-    """``sci`` or ``sce`` as a cell of a table says, such as ``SCE``, ``E`` below the title ``SCI/SCE`` or ``no`` below ``Specular``; None if it does not."""
-    cell = cell.strip()
-    if not _ABOUT_SPECULAR.search(title):
-        return geometry(cell)
-    if _WITH.fullmatch(cell) or _WITHOUT.fullmatch(cell):
-        return "sci" if _WITH.fullmatch(cell) else "sce"
-    # A bare title, as `Specular: yes`, asks whether the component is included.
-    of_title = "sci" if _BARE_SPECULAR.fullmatch(title.strip()) else geometry(title)
-    if of_title and _YES.fullmatch(cell):
-        return of_title
-    if of_title and _NO.fullmatch(cell):
-        return "sce" if of_title == "sci" else "sci"
-    return geometry(cell)
 
 
 def incidence(words: str) -> float | None:

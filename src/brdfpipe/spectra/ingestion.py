@@ -12,7 +12,7 @@ import xarray as xr
 
 from brdfpipe import vocabulary
 from brdfpipe.errors import InputError, naming_key
-from brdfpipe.spectra.readers import check_geometry, check_incidence, read_spectrum
+from brdfpipe.spectra.readers import SCALE_DOUBT, check_geometry, check_incidence, read_spectrum
 from brdfpipe.spectra.recovery import check_recoverable, index_words, recover, specular_reflectance
 
 _MOST_EXCESS = 0.005
@@ -114,7 +114,9 @@ def _pair(
     both = both.assign_attrs(_trap_attribute(spec.get("specular_trap"), "sce"))
     history = [f"SCE: {line}" for line in without.attrs.get("history", "").splitlines() if line]
     both = vocabulary.add_history(vocabulary.label(both, "spectrum"), *history)
-    return vocabulary.add_warning(both, *vocabulary.warnings(without))
+    both.attrs.pop("warnings", None)
+    of_each = (f"{kind.upper()}: {one}" for kind, part in parts.items() for one in vocabulary.warnings(part))
+    return vocabulary.add_warning(both, *of_each)
 
 
 def _ingested(
@@ -184,7 +186,8 @@ def _warn_if_excluded(dataset: xr.Dataset, file: str, index: float | xr.Dataset 
     specular = specular_reflectance(n, dataset.attrs["theta_i"], wavelength)
     is_below = dataset["total_reflectance"].values < specular
     below = wavelength[is_below]
-    if dataset.attrs["geometry"] != "sci" or below.size == 0:
+    scale_is_doubtful = any(SCALE_DOUBT in warning for warning in vocabulary.warnings(dataset))
+    if dataset.attrs["geometry"] != "sci" or below.size == 0 or scale_is_doubtful:
         return dataset
     surface = f"a smooth surface of index {index_words(n)}"
     if index is None:

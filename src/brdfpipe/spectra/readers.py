@@ -14,10 +14,10 @@ from brdfpipe import columns, vocabulary
 from brdfpipe.columns import Columns
 from brdfpipe.errors import InputError
 from brdfpipe.geometry import Array
-from brdfpipe.spectra import column_choice, damage, header_words
+from brdfpipe.spectra import column_choice, damage, header_words, specular_words
 from brdfpipe.spectra.column_choice import in_words, title_of
 from brdfpipe.spectra.formats import registry
-from brdfpipe.spectra.header_words import KnownGeometry
+from brdfpipe.spectra.specular_words import KnownGeometry
 
 GEOMETRIES = ("sci", "sce")
 """Specular component included or excluded."""
@@ -27,10 +27,13 @@ _REQUIRED = (400.0, 700.0)
 _RANGE = (360.0, 830.0)
 """Wavelengths that a spectrum must cover, and those that are read [nm]."""
 _WIDEST_GAP = 25.0
+SCALE_DOUBT = "If they are fractions, set `spectrum.scale: fraction`"
+"""In warnings of values that are read as percent and may be fractions."""
+
 _DARKEST_PERCENT = 2.0
+_DARKEST_INCLUDED = 1.6
+"""Reflectance with the specular included of a smooth black surface of index 1.29, the lowest of a solid plastic [percent]."""
 _BRIGHTEST = 1.1
-_FINE_DIGIT = 1.01e-4
-"""Last digit of values that are fractions rather than percent of a dark sample."""
 _NOISE = 0.01
 _REPEATABILITY, _ABSOLUTE_REPEATABILITY = 0.02, 0.001
 """Tolerated deviation of repeated readings from their mean: relative to it, and absolute."""
@@ -150,8 +153,6 @@ def _divisor(table: Columns, value: int, nm: Array, scale: str | None, geometry:
     present = table.values[np.isfinite(nm) & np.isfinite(table.values[:, value]), value]
     largest = float(present.max()) if present.size else 0.0
     stated = header_words.scale(table.file, title_of(table, value), table.header)
-    if scale == "percent" and stated != "percent" and largest <= 1:
-        log.warn(*_fractions_as_percent(table, present, largest, geometry))
     if scale is not None and stated is not None and scale != stated:
         log.warn(
             f"the header says {stated}; `spectrum.scale: {scale}` in material.yaml was used. Remove the key if the header is right."
@@ -172,31 +173,30 @@ def _divisor(table: Columns, value: int, nm: Array, scale: str | None, geometry:
             "values up to 1 (1.1 if fluorescent), or percent",
         )
         raise InputError(table.file, problem, found=f"up to {largest:g}", accepted=accepted, key="spectrum.scale")
-    if scale is None and stated is not None and largest <= 1:
-        log.warn(
-            f"the header says percent, but no value exceeds {largest:g}. If they are fractions, set `spectrum.scale: fraction`; if the "
-            "sample is that dark, `percent`."
-        )
+    if largest < _DARKEST_PERCENT:
+        log.warn(_doubt_of_percent(table, largest, scale, geometry))
     how = "" if scale or stated else f": the header states no scale, and values reach {largest:g}"
     log.history.append(f"percent was converted to a fraction{how}")
     return 100.0
 
 
-def _fractions_as_percent(table: Columns, present: Array, largest: float, geometry: str) -> list[str]:
-    """A doubt whether values up to 1 are percent, as the description says; refused where no surface reflects so little."""
-    if geometry == "sci":
+def _doubt_of_percent(table: Columns, largest: float, scale: str | None, geometry: str) -> str:
+    """A doubt whether values below 2 are percent, as the description or the header says; refused where no surface reflects so little."""
+    if geometry == "sci" and largest < _DARKEST_INCLUDED:
+        says = "`scale: percent`" if scale else "percent in the header"
         raise InputError(
             table.file,
-            "the scale is wrong: with the specular included, even a smooth black surface reflects 4 percent",
-            found=f"`scale: percent`, values up to {largest:g}",
-            accepted="fraction, if the values run from 0 to 1; or `geometry: sce`, if the sample is that dark",
+            f"the scale is wrong: with the specular included, even a smooth black surface reflects more than {_DARKEST_INCLUDED:g} percent",
+            found=f"{says}, values up to {largest:g}",
+            accepted="fraction, if the values run from 0 to 1; or `geometry: sce`, if the specular was excluded",
             key="spectrum.scale",
         )
-    if columns.last_digit(present) > _FINE_DIGIT:
-        return []
-    return [
-        f"no value exceeds {largest:g} percent, and they have four decimals or more. If they are fractions, set `spectrum.scale: fraction`."
-    ]
+    otherwise = (
+        "if the specular was excluded, `spectrum.geometry: sce`"
+        if geometry == "sci"
+        else "if the sample is that dark, accept this warning"
+    )
+    return f"no value exceeds {largest:g} percent. {SCALE_DOUBT}; {otherwise}."
 
 
 def _u_divisor(table: Columns, deviation: int, divisor: float, log: _Log) -> float:
@@ -320,8 +320,10 @@ def _checked_values(wavelength: Array, reflectance: Array, allow_fluorescent: bo
 
 def _geometry(table: Columns, value: int, known: KnownGeometry, log: _Log) -> str:
     """Specular component included or excluded: from material.yaml, or else from the file; a fallback only where the file states none."""
-    # The title of the column counts before the words above it, which may speak of other columns.
-    stated = header_words.geometry(title_of(table, value)) or header_words.geometry(" ".join(table.header))
+    # The labels of the column count before the header, which may speak of other columns.
+    stated = column_choice.stated_geometry(table, value) or column_choice.header_geometry(table)
+    if stated is None and (unclear := column_choice.unclear_geometry(table, value)):
+        log.warn(f"{specular_words.doubt(unclear)}.")
     geometry = known.name
     if geometry is None or (known.is_fallback and stated is not None):
         check_geometry(table.file, stated)

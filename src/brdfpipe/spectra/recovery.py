@@ -83,7 +83,7 @@ def recover(
         )
     if isinstance(seed, bool) or not isinstance(seed, int) or seed < 0:
         raise _refusal("invalid seed", found=repr(seed)[:40], accepted="a whole number >= 0", key="spectrum.seed")
-    colour, table = _checked_lab(lab), _weights(illuminant, observer)
+    colour, table = check_lab(lab), _weights(illuminant, observer)
     specular = _floor(specular_index, theta, table)
     sodium_index = (
         interpolate_index(specular_index, 589.3)[0] if isinstance(specular_index, xr.Dataset) else specular_index
@@ -145,7 +145,7 @@ def check_recoverable(
     theta: float = 8.0,
 ) -> None:
     """Refuse a colour that :func:`recover` will refuse, without its search; parameters and errors as there."""
-    colour, table = _checked_lab(lab), _weights(illuminant, observer)
+    colour, table = check_lab(lab), _weights(illuminant, observer)
     specular = _floor(specular_index, theta, table)
     if method in random_search.SEARCHES:
         _check_mixable(colour, table, specular, threshold)
@@ -329,7 +329,11 @@ def _weights(illuminant: str, observer: int) -> Weights:
         raise InputError("material.yaml", str(error), where="spectrum", key=f"spectrum.{key}") from error
 
 
-def _checked_lab(lab: ArrayLike) -> Array:
+def check_lab(lab: ArrayLike) -> Array:
+    """A colour as three numbers, (3,).
+
+    Raises InputError: it is not three finite numbers L*, a*, b* with 0 <= L* <= 100; the key is that of ``spectrum``.
+    """
     try:
         colour = np.asarray(lab, dtype=float)
     except (TypeError, ValueError):

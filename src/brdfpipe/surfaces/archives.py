@@ -26,7 +26,7 @@ def checked_names(archive: zipfile.ZipFile, path: Path, most: int) -> list[str]:
 
 
 def check_inflated(path: Path, where: str | None, inflated: int, compressed: int, most: int) -> None:
-    """Refuse content that is larger than ``most`` bytes or compressed more than real heights can be."""
+    """Refuse content that is larger than ``most`` bytes or compressed more than measured values can be."""
     if inflated > most or inflated > max(_RATIO_FROM, _MAX_RATIO * compressed):
         found, accepted = f"{inflated} bytes", f"up to {most >> 20} MiB, compressed at most {_MAX_RATIO} times"
         raise InputError(path, "the content is suspiciously large", where=where, found=found, accepted=accepted)

@@ -64,10 +64,6 @@ class SurfaceFormat(FileFormat):
     read: Callable[..., Heights]
     options: tuple[str, ...] = ()
     """Keyword arguments of the reader, keys of ``surface``."""
-    read_by: str = "brdfpipe"
-    """The program whose code reads it."""
-    tried: str = ""
-    """Files of real instruments that were read, for the documentation; empty without any."""
     orientation: str = "first row at y = 0"
     """Which edge of the map comes first, and how that is known, for the documentation."""
 

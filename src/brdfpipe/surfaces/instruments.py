@@ -280,9 +280,9 @@ FORMATS = tuple(
         f"{instrument.title}; needs the extra `instruments`",
         partial(read_instrument, format=name),
         instrument.options,
-        LIBRARY,
-        instrument.tried,
-        instrument.orientation,
+        read_by=LIBRARY,
+        tried=instrument.tried,
+        orientation=instrument.orientation,
     )
     for name, instrument in INSTRUMENTS.items()
 )

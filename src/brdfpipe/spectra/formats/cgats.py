@@ -10,6 +10,7 @@ import numpy as np
 
 from brdfpipe.errors import InputError
 from brdfpipe.spectra.formats import base
+from brdfpipe.spectra.specular_words import spoken
 
 _BAND = re.compile(r"(?:SPEC|SPECTRAL|SPECTRAL_NM|NM|R)_?(\d{3,4}(?:\.\d+)?)", re.IGNORECASE)
 
@@ -75,6 +76,7 @@ def _table_samples(
     scale = {100.0: base.PERCENT, 1.0: base.FRACTION, None: base.UNSCALED}.get(largest)
     if scale is None:
         raise InputError(path, "unknown scale", where="SPECTRAL_NORM", found=repr(norm)[:40], accepted="1 or 100")
+    header = (scale, *spoken(f"{key}: {value}" for key, value in keywords.items()))
     names = [fields.index(name) for name in ("SAMPLE_NAME", "SAMPLE_ID", "SAMPLE_LOC") if name in fields]
     samples = []
     for number, start in enumerate(range(0, len(data), len(fields)), start=1):
@@ -83,8 +85,14 @@ def _table_samples(
         labels = tuple(
             (fields[i], row[i]) for i in range(len(fields)) if i not in bands and not _VALUE.match(fields[i])
         )
-        samples.append(base.parsed_sample(path, f"set {number}", name, wavelength, cells, (scale,), labels=labels))
+        samples.append(base.parsed_sample(path, f"set {number}", name, wavelength, cells, header, labels=labels))
     return samples
 
 
-FORMAT = base.SpectrumFormat("cgats", (".cgats", ".ti3"), "spectral fields of CGATS tables", base.from_text(_samples))
+FORMAT = base.SpectrumFormat(
+    "cgats",
+    (".cgats", ".ti3"),
+    "spectral fields of CGATS tables",
+    base.from_text(_samples),
+    tried="colorchecker_cyan.ti3, made",
+)

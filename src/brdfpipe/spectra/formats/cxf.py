@@ -127,5 +127,9 @@ def _unlike(size: int, sizes: Sequence[int]) -> list[str]:
 
 
 FORMAT = base.SpectrumFormat(
-    "cxf", (".cxf",), "CxF3 objects with a `ReflectanceSpectrum`, fractions", base.from_text(_samples)
+    "cxf",
+    (".cxf",),
+    "CxF3 objects with a `ReflectanceSpectrum`, fractions",
+    base.from_text(_samples),
+    tried="colorchecker_white.cxf, made",
 )

@@ -16,6 +16,7 @@ import numpy as np
 from brdfpipe.errors import InputError
 from brdfpipe.geometry import Array
 from brdfpipe.spectra.formats import base
+from brdfpipe.spectra.specular_words import spoken
 
 Block = tuple[str, str, str, Array, Array, tuple[str, ...]]
 
@@ -189,7 +190,9 @@ def _value(token: str) -> float:
 
 def _samples(path: Path, text: str) -> list[base.Sample]:
     samples = []
-    for title, x_unit, y_unit, wavelength, values, doubts in blocks(path, text):
+    records = [record for record in _records(text) if _form(record)]
+    for block, record in zip(blocks(path, text), records, strict=True):
+        title, x_unit, y_unit, wavelength, values, doubts = block
         unit = {"NANOMETERS": "nm", "NM": "nm", "MICROMETERS": "um", "MICRONS": "um", "UM": "um"}.get(x_unit)
         if unit is None or "REFL" not in y_unit or "LOG" in y_unit:
             raise InputError(
@@ -200,7 +203,8 @@ def _samples(path: Path, text: str) -> list[base.Sample]:
                 accepted="NANOMETERS or MICROMETERS, REFLECTANCE",
             )
         scale = base.PERCENT if "%" in y_unit or "PERCENT" in y_unit else base.FRACTION
-        samples.append(base.Sample(title, wavelength, values, (scale,), unit, doubts))
+        words = (f"{label}: {value}" for label, value in record.items() if label not in (_form(record), "TITLE"))
+        samples.append(base.Sample(title, wavelength, values, (scale, *spoken(words)), unit, doubts))
     return samples
 
 
@@ -209,4 +213,5 @@ FORMAT = base.SpectrumFormat(
     (".dx", ".jcamp", ".jcm", ".jdx"),
     "JCAMP-DX `XYDATA` or `XYPOINTS`, packed or not, over nm or µm",
     base.from_text(_samples),
+    tried="colorchecker_red_jcamp.jdx, made",
 )

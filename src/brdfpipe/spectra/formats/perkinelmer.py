@@ -8,6 +8,7 @@ import numpy as np
 
 from brdfpipe.errors import InputError
 from brdfpipe.spectra.formats import base
+from brdfpipe.spectra.specular_words import spoken
 
 
 def _samples(path: Path, text: str) -> list[base.Sample]:
@@ -45,8 +46,8 @@ def _samples(path: Path, text: str) -> list[base.Sample]:
         doubts = (
             f"the header states wavelengths from {first:g} nm by {step:g} nm. The table differs from that: look for mistyped or lost ones",
         )
-    scaled = (base.PERCENT if "%" in y_unit else base.FRACTION,)
-    return [base.parsed_sample(path, "#DATA", lines[2], wavelength, cells[1], scaled, doubts=doubts)]
+    header = (base.PERCENT if "%" in y_unit else base.FRACTION, *spoken(lines[3 : graph - 1]))
+    return [base.parsed_sample(path, "#DATA", lines[2], wavelength, cells[1], header, doubts=doubts)]
 
 
 def _row(path: Path, line: str, place: int) -> tuple[str, str]:
@@ -57,4 +58,6 @@ def _row(path: Path, line: str, place: int) -> tuple[str, str]:
     return cells[0], cells[1]
 
 
-FORMAT = base.SpectrumFormat("perkinelmer", (".asc",), "one spectrum in nm, %R or R", base.from_text(_samples))
+FORMAT = base.SpectrumFormat(
+    "perkinelmer", (".asc",), "one spectrum in nm, %R or R", base.from_text(_samples), tried="vinyl_red_pe.asc, made"
+)

@@ -39,11 +39,13 @@ def _samples(path: Path, text: str) -> list[base.Sample]:
         low, step, points = (base.stated_number(path, key, section.get(key, "").rstrip(", ")) for key in _GRID)
         base.check_count(path, len(cells), points)
         wavelength = base.even_grid(low, step, len(cells))
-        viewing = (f"viewing {section['VIEWING']}",) if "VIEWING" in section else ()
+        viewing = (f"viewing: {section['VIEWING']}",) if "VIEWING" in section else ()
         name, doubts = section.get("NAME", f"sample {number}"), base.doubt_of_end(wavelength, step)
         header = (base.PERCENT, *viewing)
         samples.append(base.parsed_sample(path, f"section {number}", name, wavelength, cells, header, doubts=doubts))
     return samples
 
 
-FORMAT = base.SpectrumFormat("qtx", (".qtx",), "Datacolor standards and batches, percent", base.from_text(_samples))
+FORMAT = base.SpectrumFormat(
+    "qtx", (".qtx",), "Datacolor standards and batches, percent", base.from_text(_samples), tried="abs_black.qtx, made"
+)

@@ -15,7 +15,7 @@ from brdfpipe.errors import InputError
 from brdfpipe.file_formats import format_of
 from brdfpipe.spectra.formats import cgats, cxf, excel, jcamp, perkinelmer, qtx, sample_choice, text
 from brdfpipe.spectra.formats.base import UNSCALED, SpectrumFormat
-from brdfpipe.spectra.header_words import NOT_KNOWN, KnownGeometry
+from brdfpipe.spectra.specular_words import NOT_KNOWN, KnownGeometry, doubt
 
 FORMATS: dict[str, SpectrumFormat] = {
     module.FORMAT.name: module.FORMAT for module in (text, perkinelmer, qtx, cxf, jcamp, cgats, excel)
@@ -46,7 +46,9 @@ def read(
         notes = [*notes, f"sample {place + 1} of {len(content)} was read ({chosen.name[:60]})"]
     own = sample_choice.stated_geometry(chosen)
     name = f"{UNSCALED} {own.upper()}" if own else UNSCALED
+    unclear = sample_choice.unclear_label(chosen)
+    doubts = (*chosen.doubts, *([doubt(unclear)] if unclear else []))
     values = np.column_stack([chosen.wavelength, chosen.values])
     title = {"nm": "wavelength [nm]", "um": "wavelength [µm]"}.get(chosen.unit, "wavelength")
     lines = np.zeros(len(values), dtype=np.int64)
-    return Columns(path.name, chosen.header, (title, name), values, lines, tuple(notes), chosen.doubts)
+    return Columns(path.name, chosen.header, (title, name), values, lines, tuple(notes), doubts)

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from brdfpipe.errors import InputError, abbreviated
-from brdfpipe.spectra import header_words
+from brdfpipe.spectra import specular_words
 from brdfpipe.spectra.formats.base import Sample
-from brdfpipe.spectra.header_words import KnownGeometry
+from brdfpipe.spectra.specular_words import KnownGeometry
 
 _MOST_NAMES = 10
 """Names of samples that a message lists."""
@@ -51,10 +51,29 @@ def chosen(path: Path, samples: Sequence[Sample], sample: int | str | None, geom
 
 def stated_geometry(sample: Sample) -> str | None:
     """``sci`` or ``sce`` as the cells of a sample or its name say; None if they do not, or contradict each other."""
-    found = {header_words.geometry_of_cell(title, cell) for title, cell in sample.labels}
-    found |= {header_words.geometry(sample.name)}
-    found.discard(None)
+    found = _labelled(sample)
     return found.pop() if len(found) == 1 else None
+
+
+def unclear_label(sample: Sample) -> str:
+    """The name or label of a sample that may state the specular component and is not understood, or labels that contradict each other; empty
+    if there is none."""
+    found = _labelled(sample)
+    if len(found) == 1:
+        return ""
+    texts = [
+        sample.name,
+        *(f"{title}: {cell}" if title else cell for title, cell in sample.labels if cell != sample.name),
+    ]
+    if found:
+        return ", ".join(text for text in texts if specular_words.of_title(text))
+    return next((text for text in texts if specular_words.is_unclear(text) or specular_words.says_both(text)), "")
+
+
+def _labelled(sample: Sample) -> set[str]:
+    """What the name and the cells of a sample say of the specular component."""
+    found = {specular_words.of_cell(title, cell) for title, cell in sample.labels}
+    return {kind for kind in (*found, specular_words.of_title(sample.name)) if kind}
 
 
 def _place(path: Path, samples: Sequence[Sample], sample: int | str | None, geometry: str | None) -> int:

@@ -98,7 +98,7 @@ def wide_samples(
             found, accepted = f"{len(row)} cells", f"{len(header)} cells, as in the header"
             raise InputError(path, "rows of unequal length", where=f"line {line}", found=found, accepted=accepted)
         name, cells = row[0].strip(), [row[i] for i in labels]
-        others = tuple((header[i].strip(), row[i].strip()) for i in range(1, len(row)) if i not in labels)
+        others = tuple((header[i].strip(), row[i].strip()) for i in range(len(row)) if i not in labels)
         samples.append(
             base.parsed_sample(
                 path,
@@ -128,4 +128,5 @@ FORMAT = base.SpectrumFormat(
     "columns of wavelength (nm or µm; Å, cm⁻¹ or eV if the title says so) and reflectance; or one row per sample below a header of wavelengths. UTF-8, UTF-16 or Latin-1; `;`, tab, "
     "`,` or blanks; decimal point or comma",
     _read,
+    tried="abs_black_3col.txt, fibreglass_green_um_sentinel.txt, hdpe_yellow_irregular.txt, munsell_over_unity.csv, pipe_blue_ecostress_style.txt, pvc_white_de.csv, all made",
 )
