@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 import xarray as xr
 from hypothesis import HealthCheck, given, settings
@@ -610,3 +611,17 @@ def test_a_large_text_takes_a_few_times_its_own_memory(monkeypatch: pytest.Monke
     assert heights.height.shape == (400, 1000)
     # The text, its bytes, the numbers by column and as one array: as eight-byte numbers they take as much as the text.
     assert peak < 5 * path.stat().st_size
+
+
+@pytest.mark.parametrize(
+    ("index", "header", "words"),
+    [(True, True, "row and the first column"), (True, False, "first column"), (False, True, "first row")],
+)
+def test_numbers_of_rows_and_columns_are_no_heights(tmp_path: Path, index: bool, header: bool, words: str) -> None:
+    height = pd.DataFrame(np.random.default_rng(4).normal(0, 0.1, (40, 50)).round(5))
+    path = tmp_path / "frame.csv"
+    height.to_csv(path, index=index, header=header)
+    with pytest.raises(InputError, match=f"{words} of the grid holds positions or numbers of lines"):
+        read_surface(path, unit="um", pitch=1.0)
+    height.to_csv(path, index=False, header=False)
+    assert read_surface(path, unit="um", pitch=1.0).height.shape == (40, 50)

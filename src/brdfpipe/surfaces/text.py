@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from brdfpipe import columns
 from brdfpipe.errors import InputError
 from brdfpipe.surfaces.column_titles import TitledUnits, titled_units
-from brdfpipe.surfaces.heights import LINES, UNSTATED, Heights, SurfaceFormat
+from brdfpipe.surfaces.heights import GRID_MIN, LINES, UNSTATED, Heights, SurfaceFormat
 from brdfpipe.surfaces.units import UNITS, needed_steps, pitch_steps, scales
 
 LAYOUTS = ("line", "grid", "xyz")
@@ -516,8 +516,27 @@ def _line(table: NDArray[np.float64], steps: tuple[float, ...], path: Path) -> _
 
 
 def _grid(table: NDArray[np.float64], steps: tuple[float, ...], path: Path) -> _Read:
+    labels = [name for name, first, second in _edges(table) if _is_even(first) and not _is_even(second)]
+    if labels:
+        problem = (
+            f"the first {' and the first '.join(labels)} of the grid holds positions or numbers of lines, no heights"
+        )
+        raise InputError(path, problem, found="even steps", accepted="heights alone; remove it from the file")
     pitch = needed_steps(path, steps, setting=_PITCH_SETTING)
     return table, pitch[0], pitch[-1], ()
+
+
+def _edges(table: NDArray[np.float64]) -> Iterator[tuple[str, NDArray[np.float64], NDArray[np.float64]]]:
+    """The first row and the first column of a grid and their neighbours, without the corner."""
+    for name, part in (("row", table[:2, 1:]), ("column", table[1:, :2].T)):
+        if len(part) == 2 and part.shape[1] >= GRID_MIN:
+            yield name, part[0], part[1]
+
+
+def _is_even(values: NDArray[np.float64]) -> bool:
+    """Whether values rise or fall in even steps."""
+    steps = np.diff(values)
+    return bool(steps[0]) and bool(np.all(np.abs(steps - steps.mean()) <= 1e-6 * np.abs(steps.mean())))
 
 
 def _xyz(table: NDArray[np.float64], steps: tuple[float, ...], path: Path) -> _Read:
