@@ -121,7 +121,7 @@ def around_mirror(
 
 
 def around_mirror_with_lay(
-    theta_i: float, phi_i: float, along: float, across: float, lay: float, order: int = 5
+    theta_i: float, phi_i: float, along: float, across: float, lay: float, order: int = 6
 ) -> Directions:
     """A rule over the hemisphere for the lobe of a surface with a lay, also where that is long and narrow.
 

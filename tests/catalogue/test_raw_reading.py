@@ -166,3 +166,25 @@ def test_a_back_face_is_refused_with_its_own_key(tmp_path: Path) -> None:
     loaded = load(tmp_path)
     with pytest.raises(InputError, match=r"`slab\.back\.unit`"):
         describe_files(loaded, loaded["m"])
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("index: {file: k.txt}\ncoat: {thickness: 0.05, internal_transmittance: 0.9, base: {index: 1.6, surface: {distribution: flat}}}\n", "the index of the coat absorbs.*k up to 0.1.*index.file"),
+        ("index: {file: k.txt}\nslab: {thickness: 0.05, internal_transmittance: 0.9}\n", "the index of the slab absorbs.*k up to 0.1.*index.file"),
+        ("index: 1.5\ncoat: {thickness: 0.05, internal_transmittance: 0.9, base: {index: {file: k.txt}, surface: {distribution: flat}}}\n", "below the face of a metal.*coat.base.index.file"),
+    ],
+)  # fmt: skip
+def test_an_index_that_absorbs_is_refused_where_the_model_needs_a_real_one(
+    tmp_path: Path, text: str, message: str
+) -> None:
+    folder = tmp_path / "m"
+    folder.mkdir()
+    (folder / "k.txt").write_text("".join(f"{nm / 1000} 1.5 0.1\n" for nm in range(380, 781, 20)))
+    colour = "" if "slab" in text else "spectrum: {lab: [40, 5, 5], illuminant: D65, observer: 10, geometry: sci}\n"
+    (folder / "material.yaml").write_text(f"surface: {{distribution: beckmann, slope_rms: 0.1}}\n{text}{colour}")
+    loaded = load(tmp_path)
+    assert loaded.failures == {}
+    with pytest.raises(InputError, match=message):
+        describe_files(loaded, loaded["m"])

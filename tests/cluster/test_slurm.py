@@ -130,6 +130,10 @@ def test_a_job_that_the_scheduler_cancels_runs_again_with_more_memory(
     for first in (int(job["memory"].removesuffix("M")) for job in cancelled):
         memory.remove(2 * first)  # its retry; ValueError if there was none
     assert len(memory) == 1  # the job of the catalogue
+    assert not any((tmp_path / "failures").glob("*"))
+    # A stage that is killed as it writes leaves an unfinished file, which the next build removes.
+    summary = build(catalogue, tmp_path, cores=1, config=_settings(catalogue))
+    assert (summary.jobs, summary.failures) == (0, {})
     assert _files(tmp_path) == local
 
 

@@ -308,6 +308,16 @@ class MeasuredSurface(Keys):
         return states_lay(self.isotropic, self.layout)
 
     @model_validator(mode="after")
+    def _check_noise(self) -> Self:
+        if self.noise is not None and self.noise_uncertainty is not None and self.noise_uncertainty > self.noise:
+            accepted = f"at most {self.noise:g} um, `noise`"
+            found = f"{self.noise_uncertainty:g} um"
+            raise InputError(
+                "", "more than the noise itself", where="noise_uncertainty", found=found, accepted=accepted
+            )
+        return self
+
+    @model_validator(mode="after")
     def _check_filters(self) -> Self:
         if self.lambda_s is not None and self.lambda_c is not None and self.lambda_s >= self.lambda_c:
             problem, accepted = (

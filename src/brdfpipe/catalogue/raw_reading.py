@@ -52,6 +52,8 @@ def _described(catalogue: Catalogue, material: Material) -> list[str]:
             scans.append(dataset)
         if name == "multiangle":
             check_flakes(dataset, material)
+        if name in ("index", "base_index"):
+            _check_absorption(dataset, name, material, path)
     if scans:
         _check_scans(catalogue, material, scans)
     return lines
@@ -80,6 +82,21 @@ def _read(part: str, path: Path, spec: dict[str, Any], beside: Path | None, body
         return read_colours(spec, path)
     with naming_key(OTHER_FACES.get(part.removesuffix("_surface"), "surface"), "surface"):
         return read_surface(path, spec, beside)
+
+
+def _check_absorption(index: xr.Dataset, part: str, material: Material, path: Path) -> None:
+    """Refuse an index that absorbs where the models of sheets and coats need a real one."""
+    largest = float(index["k"].max())
+    if largest <= 0:
+        return
+    found = f"k up to {largest:g}"
+    for body in ("slab", "coat"):
+        if part == "index" and material.has(body):
+            accepted = f"k = 0, and the absorption in `{body}`"
+            raise InputError(path, f"the index of the {body} absorbs", found=found, accepted=accepted, key="index.file")
+    if part == "base_index" and "spectrum" in material.content:
+        problem, accepted = "light does not come back from below the face of a metal", "k = 0, or no `spectrum`"
+        raise InputError(path, problem, found=found, accepted=accepted, key=f"{BASE_INDEX}.file")
 
 
 def _check_scans(catalogue: Catalogue, material: Material, scans: list[xr.Dataset]) -> None:

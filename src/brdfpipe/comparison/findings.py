@@ -18,6 +18,7 @@ MISFIT = 1.5
 
 _CERTAIN = 3.0  # standard uncertainties above which a change is significant
 _FAR = 3.0  # prior standard uncertainties above which a change is implausible
+_DOUBTFUL = 5.0  # prior standard uncertainties of a change that is hardly one of the input
 _UNINFORMATIVE = 0.8  # posterior over prior uncertainty above which the measurement does not constrain an input
 _CORRELATED = 0.9  # correlation above which two inputs cannot be separated
 _REFERENCE = 550.0  # wavelength at which an index is quoted [nm]
@@ -76,7 +77,10 @@ def _inputs(comparison: xr.Dataset, predicted: xr.Dataset) -> Iterator[str]:
         one = comparison.sel(input=name)
         value, u, before = (float(one[part]) for part in ("posterior", "posterior_u", "prior"))
         stated = f"{NAMES[name]} {_stated(name, value, u, predicted)}"
-        if u > _UNINFORMATIVE * float(one["prior_u"]):
+        far = abs(value - before) / float(one["prior_u"])
+        if far > _DOUBTFUL:
+            yield f"{stated}: {_meaning(name, value)}, {far:.2g} times its assumed uncertainty from what was given; the error may lie elsewhere"
+        elif u > _UNINFORMATIVE * float(one["prior_u"]):
             yield f"{stated}: the measurement does not constrain it beyond the assumed uncertainty"
         elif abs(value - before) < _CERTAIN * u:
             yield f"{stated}: unchanged within its uncertainty"
@@ -101,7 +105,7 @@ def _stated(name: str, value: float, u: float, predicted: xr.Dataset) -> str:
 def height_words(variance: float, u: float) -> str:
     """An rms height in nm, from a mean square height [um²] of 0 or more and its standard uncertainty."""
     if variance < _CERTAIN * u:
-        return f"below {1e3 * math.sqrt(variance + 2 * u):.2g} nm rms (95 %)"
+        return f"{1e3 * math.sqrt(variance):.2g} nm rms, below {1e3 * math.sqrt(variance + 2 * u):.2g} nm (95 %)"
     height = math.sqrt(variance)
     return f"{plus_minus(1e3 * height, 1e3 * u / (2 * height))} nm rms"
 
