@@ -19,17 +19,29 @@ EXCLUDED = [
     "specular_excluded", "SpecularExcluded", "Specular component excl.", "excl. specular", "Specular, excluded", "specular not included", "R w/o specular",
     "d/8e", "d8e", "de:8", "8°:de", "8/de", "gloss excluded", "with gloss trap", "Glanz ausgeschlossen", "ohne Glanz", "spéculaire exclu(e)", "sans brillant",
     "Specular: no", "SCI/SCE: E", "Gloss: Ex", "SPEC: -", "SCI: no",
+    "Glanzanteil: ohne", "Glanzanteil: nein", "Glanzkomponente: nein", "Spekulare Komponente: nein", "Glanzeinschluss: nein", "Composante spéculaire: non",
+    "Composante spéculaire: non comprise", "Sans composante spéculaire", "sans la composante spéculaire", "hors spéculaire", "no specular", "Glanzfalle: offen",
+    "Glanzfalle offen", "gloss trap open", "Gloss trap: in", "Specular port: open", "Specular port open", "Glanzausschluss", "ohne Glanzeinschluss", "o. Glanz",
+    "ohne die Glanzkomponente", "specular removed", "Specular component: removed", "Specular component exclusion", "Glanzausschluss: ja",
+    "composante spéculaire non comprise", "without specular inclusion",
 ]  # fmt: skip
 INCLUDED = [
     "SCI", "S.C.I.", "RSCI", "R_SCI [%]", "SCI1", "SCI_Avg", "SCImean", "SPIN", "SPINC", "SpIn 1", "RSIN", "Specular Incl", "R% (spec. incl.)",
     "specular_included", "SpecularIncluded", "Specular component incl.", "incl. specular", "Specular, included", "specular not excluded", "R with specular",
     "d/8i", "d8i", "di:8", "8°:di", "8/di", "gloss included", "without gloss trap", "Glanz eingeschlossen", "mit Glanz", "spéculaire inclus(e)", "avec brillant",
     "Specular: yes", "SCI/SCE: I", "Gloss: In", "SPEC: +", "SCE: no",
+    "Glanzanteil: mit", "Glanzanteil: ja", "Glanzkomponente: ja", "Spekulare Komponente: ja", "Glanzeinschluss: ja", "Composante spéculaire: oui",
+    "Composante spéculaire: comprise", "Avec composante spéculaire", "avec la composante spéculaire", "y compris spéculaire", "Glanzfalle: geschlossen",
+    "Glanzfalle geschlossen", "gloss trap closed", "no gloss trap", "Gloss trap: out", "Specular port: closed", "Specular port closed", "Glanzeinschluss",
+    "ohne Glanzausschluss", "m. Glanz", "mit der Glanzkomponente", "specular not removed", "Specular component: not removed", "Specular component inclusion",
+    "Glanzausschluss: nein", "composante spéculaire comprise", "without specular exclusion",
 ]  # fmt: skip
 NEITHER = [
     "R", "Sample excluded", "UV excluded", "Scene 1", "SCIENCE", "by SciPy 1.11", "Rev. Sci. Instrum. 80", "luminance", "spin coated", "sin θ", "Example 2", "Ex 1",
     "high gloss ex. 3", "Gloss in GU", "Glanz in %", "Specular in percent", "species", "specimen excl. 3", "inclusion", "Index", "In", "pas de 8 nm", "d/8 i.e. sphere",
     "Comment: excluded", "Gloss: 1", "Gloss: -", "spectral range excluded", "exit slit",
+    "dE8", "dE: 8", "Sci-Fi blue", "Spin", "spin 3", "Specular No. 3", "high gloss, no UV", "Component: no", "exclusion", "Glanzgrad: nein", "Gloss not measured",
+    "Cover open", "Sensor port open", "coating removed", "gloss at 60° minus gloss at 20°",
 ]  # fmt: skip
 LABELS = [*((words, "sce") for words in EXCLUDED), *((words, "sci") for words in INCLUDED)]
 
@@ -153,6 +165,49 @@ def test_words_that_are_not_understood_are_warned_about(tmp_path: Path, words: s
     assert UNCLEAR.format(words) in messages[0]
     path = write(tmp_path, "rows.csv", labelled("Mode", words.replace(",", " ")))
     assert "and was not understood" in warnings(read(path, sample=1))[0]
+
+
+@pytest.mark.parametrize("words", ["Excluded", "excl.", "exclu", "ausgeschl.", "# Excluded", "Included"])
+def test_a_header_line_of_the_bare_word_is_warned_about(tmp_path: Path, words: str) -> None:
+    path = write(tmp_path, "line.csv", titled("R", above=words))
+    assert UNCLEAR.format(words.lstrip("# ")) in " ".join(warnings(read(path)))
+    with pytest.raises(InputError, match="geometry"):
+        read(path, geometry=None)
+
+
+@pytest.mark.parametrize(
+    "words", ["non-specular", "no gloss", "specular: off-axis", "Specular incl/excl", "specular trap removed"]
+)
+def test_a_component_beside_a_negation_is_warned_about_where_it_is_not_understood(tmp_path: Path, words: str) -> None:
+    for geometry in ("sci", "sce"):
+        for text in (titled(words), titled("R", above=words)):
+            messages = warnings(read(write(tmp_path, "one.csv", text), geometry=geometry))
+            assert UNCLEAR.format(words) in " ".join(messages)
+
+
+@pytest.mark.parametrize(("first", "second"), [("zu", "auf"), ("on", "off"), ("+", "-"), ("Ja", "Nein")])
+def test_rows_of_one_name_with_opposite_words_that_are_not_understood_are_warned_about(
+    tmp_path: Path, first: str, second: str
+) -> None:
+    text = labelled("Klappe", first, "red").replace("\nred;;", f"\nred;{second};")
+    for number, word in enumerate((first, second), 1):
+        assert UNCLEAR.format(f"Klappe: {word}") in " ".join(
+            warnings(read(write(tmp_path, "rows.csv", text), sample=number))
+        )
+    for plain in (
+        text.replace("Klappe", "UV"),
+        text.replace("\nred", "\nblue", 1),
+        text.replace(f";{second};", ";3 May;"),
+    ):
+        assert warnings(read(write(tmp_path, "rows.csv", plain), sample=1)) == []
+
+
+def test_french_titles_of_both_kinds_are_told_apart(tmp_path: Path) -> None:
+    path = write(tmp_path, "two.csv", titled("Sans composante spéculaire", "Avec composante spéculaire"))
+    for geometry, value in (("sci", 0.34), ("sce", 0.24)):
+        spectrum = read(path, geometry=geometry)
+        assert float(spectrum["total_reflectance"][0]) == pytest.approx(value)
+        assert warnings(spectrum) == []
 
 
 def test_labels_that_contradict_each_other_are_warned_about(tmp_path: Path) -> None:

@@ -87,6 +87,54 @@ def test_rows_whose_first_heights_are_missing_are_rows(
     assert vocabulary.warnings(surface) == []
 
 
+@pytest.mark.parametrize("mark", ["#NV", "#N/A", "#VALUE!", "#DIV/0!", "#WERT!", "#REF!"])
+@pytest.mark.parametrize("separator", [",", ";", "\t", " "])
+def test_error_values_of_a_spreadsheet_are_missing_heights_in_any_cell(
+    tmp_path: Path, asymmetric: xr.Dataset, separator: str, mark: str
+) -> None:
+    height = asymmetric.height.values + 1
+    height[[0, 4, 9, 20, 39], [0, 0, 17, 49, 0]] = np.nan
+    height[30] = np.nan
+    surface = read_surface(put(tmp_path, spell(height, separator, missing=mark) + f"# {mark} is missing\n"), **GRID)
+    assert surface.height.shape == (40, 50)
+    np.testing.assert_allclose(surface.height, height, rtol=0, atol=PRINTED)
+    assert "comments" not in " ".join(vocabulary.warnings(surface))
+
+
+@pytest.mark.parametrize("separator", [";", "\t", ",", " "])
+@pytest.mark.parametrize("mark", ["#", "# ", "%", "#ERR{}"])
+def test_comments_that_may_be_rows_of_heights_are_warned_of(
+    tmp_path: Path, asymmetric: xr.Dataset, separator: str, mark: str
+) -> None:
+    height = np.nan_to_num(asymmetric.height.values)
+    rows = spell(height, separator).splitlines()
+    for i in (8, 20):
+        rows[i] = mark.format(separator + rows[i].partition(separator)[2]) if "{" in mark else mark + rows[i]
+    surface = read_surface(put(tmp_path, "# heights\n" + "\n".join(rows) + "\n"), **GRID)
+    np.testing.assert_allclose(surface.height, np.delete(height, [8, 20], axis=0), rtol=0, atol=PRINTED)
+    message = "2 comments among the rows have as many fields as a row and were left out, the first in line 10: "
+    assert message in " ".join(vocabulary.warnings(surface))
+
+
+@pytest.mark.parametrize("separator", [";", "\t", " "])
+def test_sentences_among_the_rows_are_no_heights(tmp_path: Path, separator: str) -> None:
+    rows = [separator.join(f"{x} {y} {x * y / 8}".split()) for y in range(40) for x in range(40)]
+    rows[7:7] = ["# line 2 begins", "# pitch: 1 1", "# slow; steady; dry", "% the stylus jumped"]
+    surface = read_surface(put(tmp_path, "\n".join(rows) + "\n"), unit="um")
+    assert surface.height.shape == (40, 40)
+    assert "comments" not in " ".join(vocabulary.warnings(surface))
+
+
+@pytest.mark.parametrize("separator", [";", "\t", ","])
+def test_first_rows_of_separators_alone_are_rows_of_every_separator(
+    tmp_path: Path, asymmetric: xr.Dataset, separator: str
+) -> None:
+    height = asymmetric.height.values + 1
+    height[[0, 1, 5]] = np.nan
+    surface = read_surface(put(tmp_path, spell(height, separator)), **GRID)
+    np.testing.assert_allclose(surface.height, height, rtol=0, atol=PRINTED)
+
+
 @pytest.mark.parametrize("decimal", [".", ","])
 @pytest.mark.parametrize("mark", MARKS)
 def test_a_mark_before_decimal_commas_begins_a_row(

@@ -124,7 +124,7 @@ def unclear_geometry(table: Columns, i: int) -> str:
     if found := next((text for text in own if specular_words.is_unclear(text) or specular_words.says_both(text)), ""):
         return found
     lines = [line for line in table.header if line not in {row for row, _ in table.rows_above}]
-    return next((line for line in lines if specular_words.is_unclear(line)), "")
+    return next((line for line in lines if specular_words.is_unclear_line(line)), "")
 
 
 @lru_cache(maxsize=8)

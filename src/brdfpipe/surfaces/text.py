@@ -31,7 +31,12 @@ _MISSING = ["", "NaN", "nan", "NAN", "NA", "N/A", "n/a", "null", "-", "--", "---
 _NUMBER = re.compile(
     r"[+-]?(?:\d+(?:[.,]\d*)?|[.,]\d+)(?:[eE][+-]?\d+)?|nan|[+-]?inf(?:inity)?|\*+", re.IGNORECASE | re.ASCII
 )
+_ERROR_VALUE = re.compile(
+    r"(?i)(?<![^\s;,])#(?:NV|N/[AVDB]|DIV/0!|VALUE!|WERT!|VALEUR!|VALOR!|REF!|BEZUG!|NAME\?|NOM\?|NUM!|ZAHL!|NOMBRE!|NULL!|NUL!)(?![^\s;,])"
+)
+"""A cell of a spreadsheet that has no value: `#` begins no comment there."""
 _SETTING = re.compile(r"[ \t]*[#%]+[ \t]*(unit|lateral_unit|pitch)[ \t]*[:=][ \t]*(.*)", re.IGNORECASE)
+_COMMENT_LINE = re.compile(r"(?m)^[ \t]*[#%]+[ ]*(.*?)[ ]*$")
 _LENGTH = re.compile(
     rf"^[ \t#%]*(?:(?:scan|profile)[ _])?length[ \t]*[:;=,\t][ \t]*(\d+\.?\d*)[ \t]*\[?({'|'.join(UNITS)})\b",
     re.IGNORECASE | re.MULTILINE,
@@ -92,8 +97,8 @@ def read_text(
 
     Returns
     -------
-    Heights [um] in float64; NaN where the file has NaN, ***, NA, - or nothing between two separators, or omits points of a
-    regular xyz grid. Warnings if the file may be truncated: the header states a greater length, the last row of points is
+    Heights [um] in float64; NaN where the file has NaN, ***, NA, -, #N/A or nothing between two separators, or omits points of a
+    regular xyz grid. Warnings if comments among the rows have as many fields as a row; if the file may be truncated: the header states a greater length, the last row of points is
     incomplete, or the last line has no line end and fewer decimals than those above; and if titles of columns state other units.
 
     Notes
@@ -253,6 +258,7 @@ def _split_header(text: str, path: Path) -> _Body:
     gaps: list[_Gap] = []
     numerous: list[tuple[int, int]] = []
     skipped, offset = 0, 0
+    text = _ERROR_VALUE.sub("NaN", text) if "#" in text else text
     for number, line in enumerate(_lines(text), 1):
         if setting := _SETTING.match(line):
             settings[setting[1].lower()] = setting[2].strip()
@@ -275,7 +281,10 @@ def _split_header(text: str, path: Path) -> _Body:
             length = float(stated[1]) * UNITS[stated[2].lower()] if stated else None
             sides = (extent["width"], extent["height"]) if len(extent) == 2 and min(extent.values()) > 0 else ()
             rows = _without_indent(_without_comments(text[first.offset :]))
-            doubts = _skipped_heights(numerous, len(gaps) if alike and not of_heights else 0, len(words))
+            doubts = (
+                *_skipped_heights(numerous, len(gaps) if alike and not of_heights else 0, len(words)),
+                *_commented_rows(text, offset, number, content),
+            )
             return _Body(rows, first.line, settings, notes, length, sides, tuple(above), doubts)
         if content and all(word in _MISSING for word in words):
             gaps.append(_Gap(offset, number, content))
@@ -342,6 +351,27 @@ def _skipped_heights(numerous: Sequence[tuple[int, int]], empty: int, words: int
     )
 
 
+def _commented_rows(text: str, offset: int, line: int, row: str) -> tuple[str, ...]:
+    """A warning of comments below the first row of numbers, at ``offset`` and in ``line``, that have as many fields as it."""
+    mark = next((mark for mark in ";\t," if mark in row), None)
+    fields = len(row.split(mark))
+    alike = []
+    for comment in _COMMENT_LINE.finditer(text, offset) if fields > 1 and ("#" in text or "%" in text) else ():
+        words = _words(comment[1])
+        numbers = sum(map(_is_number, words))
+        # A sentence may have as many words, or clauses, as a row has fields.
+        is_row = 2 * numbers > len(words) or (mark and (numbers or "#" in comment[1]))
+        if is_row and len(comment[1].split(mark)) == fields and not _SETTING.match(comment[0]):
+            alike.append(comment)
+    if not alike:
+        return ()
+    where = line + text.count("\n", offset, alike[0].start())
+    return (
+        f"{len(alike)} comments among the rows have as many fields as a row and were left out, the first in line {where}: "
+        f"{alike[0][0].strip()[:40]!r}. If they are rows of heights, remove the # or % and write NaN where a height is missing.",
+    )
+
+
 def _lines(text: str) -> Iterator[str]:
     """Lines with their ends, one at a time: the text may be large."""
     start = 0
@@ -401,7 +431,9 @@ def _table(body: _Body, path: Path) -> NDArray[np.float64]:
 
 def _marks(body: _Body, path: Path) -> tuple[str | None, str]:
     """Separator of the columns (None: white space) and decimal mark, from the first row and the marks used below it."""
-    row = body.text.partition("\n")[0].strip(" ")
+    # A first row of separators alone does not tell its tabs from blanks.
+    first = re.search(r"[^\n]*[^\s;,][^\n]*", body.text)
+    row = (first[0] if first else "").strip(" ")
     # A tab before the first number may indent a row of blank-separated numbers.
     row = row if "\t" in row.strip() else row.strip()
     decimal = _decimal_mark(row) or _decimal_mark(body.text) or "."
@@ -417,7 +449,8 @@ def _marks(body: _Body, path: Path) -> tuple[str | None, str]:
         return None, decimal
     if "." in body.text or (padded and not bare) or (bare > 1 and not padded):
         return ",", "."
-    where, accepted = f"line {body.first_line}", "decimal points, or columns separated by `;` or a tab"
+    where = f"line {body.first_line + body.text.count(chr(10), 0, first.start() if first else 0)}"
+    accepted = "decimal points, or columns separated by `;` or a tab"
     problem = "ambiguous comma: decimal mark or column separator"
     raise InputError(path, problem, where=where, found=repr(row[:60]), accepted=accepted)
 

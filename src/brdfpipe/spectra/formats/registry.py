@@ -46,7 +46,7 @@ def read(
         notes = [*notes, f"sample {place + 1} of {len(content)} was read ({chosen.name[:60]})"]
     own = sample_choice.stated_geometry(chosen)
     name = f"{UNSCALED} {own.upper()}" if own else UNSCALED
-    unclear = sample_choice.unclear_label(chosen)
+    unclear = sample_choice.unclear_label(chosen) or sample_choice.unclear_opposite(place, content)
     doubts = (*chosen.doubts, *([doubt(unclear)] if unclear else []))
     values = np.column_stack([chosen.wavelength, chosen.values])
     title = {"nm": "wavelength [nm]", "um": "wavelength [µm]"}.get(chosen.unit, "wavelength")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -68,6 +69,22 @@ def unclear_label(sample: Sample) -> str:
     if found:
         return ", ".join(text for text in texts if specular_words.of_title(text))
     return next((text for text in texts if specular_words.is_unclear(text) or specular_words.says_both(text)), "")
+
+
+def unclear_opposite(place: int, samples: Sequence[Sample]) -> str:
+    """``title: cell`` of a sample that is labelled with no specular component, where another one of its name has the opposite word below the
+    title; empty if there is none."""
+    own = samples[place]
+    if _labelled(own):
+        return ""
+    alike = [other for other in samples if other.name.strip().casefold() == own.name.strip().casefold()]
+    opposite = (
+        f"{title}: {cell}"
+        for title, cell in own.labels
+        if not re.search(r"(?i)\buv\b", title)  # light of another kind
+        and any(specular_words.are_opposite(cell, word) for other in alike for of, word in other.labels if of == title)
+    )
+    return next(opposite, "")
 
 
 def _labelled(sample: Sample) -> set[str]:
