@@ -698,3 +698,31 @@ def test_a_damaged_file_is_refused_or_warned_about_or_nearly_right(
         if off > allowed:
             slips.append((kind, off, k))
     assert not slips
+
+
+LAYOUTS = {
+    "blank-separated rows": (wide(" ").replace('"blue"', "blue"), {"sample": "red"}),
+    "angstrom": ("Wavelength [Å];R\n" + "".join(f"{10 * nm};{r:.5f}\n" for nm, r in zip(NM, RED, strict=True)), {}),
+    "wavenumber": ("Wavenumber [cm-1];R\n" + "".join(f"{1e7 / nm:.3f};{r:.5f}\n" for nm, r in zip(NM, RED, strict=True)), {}),
+    "electronvolt": ("Energy [eV];R\n" + "".join(f"{1239.84198 / nm:.6f};{r:.5f}\n" for nm, r in zip(NM, RED, strict=True)), {}),
+    "rows of both geometries": (labelled("Mode", "SCI", "SCE"), {"sample": "red"}),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("count", [22, pytest.param(200, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("layout", LAYOUTS)
+def test_a_damaged_layout_is_read_as_reflectances_or_refused(tmp_path: Path, layout: str, count: int) -> None:
+    (text, options), rng = LAYOUTS[layout], random.Random(layout)
+    whole = read(write(tmp_path, "whole.txt", text), scale="fraction", **options)["total_reflectance"].values
+    assert whole == pytest.approx(RED)
+    refused = 0
+    for k in range(count):
+        damaged = write(tmp_path, "damaged.txt", mutate(text.encode(), rng, (*STRUCTURE, *BYTES)[k % 11]))
+        try:
+            values = read(damaged, scale="fraction", **options)["total_reflectance"].values
+        except BrdfpipeError:
+            refused += 1
+            continue
+        assert ((values >= 0) & (values <= 1.1)).all()
+    # Most of those that lack a part, or have one twice.
+    assert refused >= count / 4
