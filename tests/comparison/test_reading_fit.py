@@ -128,6 +128,11 @@ def test_readings_that_nothing_explains_are_named() -> None:
     assert "do not explain the readings" in sentences(fitted(read))
 
 
+def test_an_input_that_would_change_by_many_of_its_uncertainties_is_doubted() -> None:
+    found = sentences(fitted({"gloss": {"60": 300}}))
+    assert "index were higher than given, 10 times its assumed uncertainty from what was given" in found
+
+
 def test_a_prediction_that_cannot_be_changed_says_why() -> None:
     measured = {"gloss": {"60": 90.0}}
     file = built().assign_attrs(route="imported")

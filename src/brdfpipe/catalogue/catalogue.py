@@ -261,10 +261,11 @@ def _rig_refusals(materials: Mapping[str, Material], calibrations: Mapping[str, 
 def ignored(folder: Path) -> dict[str, str]:
     """Folders that look like materials, and files like the defaults, that are ignored: name → what was found and what to do, in one line."""
     reasons: dict[str, str] = {}
-    for item in sorted(folder.iterdir()):
+    items = sorted(folder.iterdir())
+    for item in items:
         if re.fullmatch(r"catalog(ue)?\.ya?ml(\.txt)?", item.name, re.IGNORECASE) and item.name != DEFAULTS:
             reasons[printable(item.name)] = f"is not read; rename it to {DEFAULTS}, whose keys all materials inherit"
-    for item in sorted(item for item in folder.iterdir() if item.is_dir() and not item.name.startswith((".", "_"))):
+    for item in (item for item in items if item.is_dir() and not item.name.startswith((".", "_"))):
         if item.name == CALIBRATIONS:
             continue
         try:

@@ -156,7 +156,7 @@ def _with_lay(maps: Sequence[HeightMap], moments: Moments) -> xr.Dataset:
     """
     if not moments.anisotropy <= _LARGEST_ANISOTROPY:
         raise FacetError(
-            f"no slopes along the lay, at an azimuth of {moments.lay % 180:.3g}°: the heights hardly vary in that direction; accepted: principal slopes with a "
+            f"no slopes along the lay, at an azimuth of {moments.lay:.3g}°: the heights hardly vary in that direction; accepted: principal slopes with a "
             f"ratio up to {_LARGEST_ANISOTROPY:g}. Check that the rows of the heights (`surface.file`) are not copies of one line; a measured map has some "
             "roughness along its grooves"
         )

@@ -511,15 +511,15 @@ def _with_albedo(bsdf: xr.Dataset, theta_m: float, psd: xr.Dataset) -> xr.Datase
         returned = np.einsum("tal,pa->tpl", returned, of_arcs)
     smooth_reflects = table.values[:, None]
     coherent = smooth_reflects * surface.coherent_share(table.theta[:, None], phi, wavelength)
-    lost = smooth_reflects - coherent - returned
+    reflected = coherent + returned
     if closed:
         # At least half of what would enter a smooth surface enters this one.
-        excess = np.clip(-lost - (1 - smooth_reflects) / 2, 0.0, coherent)
+        excess = np.clip(reflected - (1 + smooth_reflects) / 2, 0.0, coherent)
     else:
         # Facets may reflect more than a smooth surface; waves may not.
         of_waves = between(np.maximum(-missing.mean(axis=1, keepdims=True), 0.0) * waves[:, None])
-        excess = np.broadcast_to(np.maximum(of_waves, 0.0), lost.shape)
-    values = np.clip(smooth_reflects - lost - excess, 0.0, 1.0)
+        excess = np.broadcast_to(np.maximum(of_waves, 0.0), reflected.shape)
+    values = np.clip(reflected - excess, 0.0, 1.0)
     if lay:
         albedo, dims = AlbedoTable(table.theta, values, phi, ellipse_of(bsdf)), ["theta_i", "phi_i"]
     else:
