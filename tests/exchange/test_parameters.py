@@ -17,7 +17,8 @@ from brdfpipe.errors import InputError
 from brdfpipe.exchange.fits.scatter import FORMULAS, at_incidence
 from brdfpipe.exchange.read_table import ReadTable, as_bsdf
 from brdfpipe.exchange.reading import read
-from brdfpipe.exchange.registry import ExchangeError, write
+from brdfpipe.exchange.records import errors_in_brief
+from brdfpipe.exchange.registry import FORMATS, ExchangeError, write
 
 
 def test_every_formula_is_listed_with_its_error(tmp_path: Path) -> None:
@@ -35,6 +36,16 @@ def test_every_formula_is_listed_with_its_error(tmp_path: Path) -> None:
     assert fits["beckmann"]["error"]["delta_e_00"] < 1
     assert fits["beckmann"]["error"]["delta_e_00"] < fits["ggx"]["error"]["delta_e_00"]
     assert "spectrum" in document["left_out"]
+
+
+def test_a_cell_of_the_page_names_the_median_of_each_fit_and_those_beyond_a_limit(tmp_path: Path) -> None:
+    record = FORMATS["parameters"].write(samples.beckmann_bsdf(0.2), tmp_path / "x")["x.parameters.json"]
+    text = errors_in_brief(record)
+    medians = {one["formula"]: one["error"]["median"] for one in record["fits"] if "parameters" in one}
+    assert all(f"{name} {median:.1%}" in text for name, median in medians.items())
+    assert "; beyond a limit: " in text
+    assert text.index("beckmann") < text.index("ggx") < text.index("beyond a limit")
+    assert len(text) < 200
 
 
 def test_a_formula_of_another_colour_has_no_parameters(tmp_path: Path) -> None:

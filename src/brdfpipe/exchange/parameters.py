@@ -16,12 +16,12 @@ import xarray as xr
 
 from brdfpipe import store
 from brdfpipe.appearance.origin import METAL_EXTINCTION
-from brdfpipe.bsdf.nonspectral import nonspectral
 from brdfpipe.errors import InputError
 from brdfpipe.exchange import records
 from brdfpipe.exchange.fits import evaluated
-from brdfpipe.exchange.fits.fitting import Fit, Form, delta_e_of_greys, fit, index_of, luminance_of_rgb
+from brdfpipe.exchange.fits.fitting import Fit, Form, fit
 from brdfpipe.exchange.fits.forms import Lobe, Material, by_albedo, dielectric
+from brdfpipe.exchange.fits.light import ReflectedLight, delta_e_of_greys, index_of, luminance_of_rgb
 from brdfpipe.exchange.fits.scatter import (
     FORMULAS,
     LISTED_INCIDENCES,
@@ -64,11 +64,11 @@ def write(bsdf: xr.Dataset, path: Path, *, largest_error: float, largest_delta_e
     for option, value in (("largest_error", largest_error), ("largest_delta_e", largest_delta_e)):
         if not value > 0:
             raise ExchangeError(f"{option} is {value!r}; accepted: above 0")
-    limits = _Limits(largest_error, largest_delta_e)
-    fits = [_of_formula(bsdf, name, limits) for name in FORMULAS]
+    limits, light = _Limits(largest_error, largest_delta_e), ReflectedLight(bsdf)
+    fits = [_of_formula(light, name, limits) for name in FORMULAS]
     n, k = index_of(bsdf)
     if k < METAL_EXTINCTION:
-        fits += [_of_facets(bsdf, distribution, n, limits) for distribution in ("ggx", "beckmann")]
+        fits += [_of_facets(light, distribution, n, limits) for distribution in ("ggx", "beckmann")]
     if all("refused" in one and "refused" in one.get("by_incidence", one) for one in fits):
         least = min(fits, key=lambda one: max(float(one["error"]["median"]), float(one["error"]["albedo"])))
         raise ExchangeError(
@@ -97,16 +97,16 @@ class _Limits(NamedTuple):
     delta_e: float
 
 
-def _of_formula(bsdf: xr.Dataset, name: str, limit: _Limits) -> dict[str, Any]:
-    of_all = fit_formula(bsdf, name)
-    found = {float(theta_i): fit_formula(bsdf, name, float(theta_i)) for theta_i in LISTED_INCIDENCES}
+def _of_formula(light: ReflectedLight, name: str, limit: _Limits) -> dict[str, Any]:
+    of_all = fit_formula(light, name)
+    found = {float(theta_i): fit_formula(light, name, float(theta_i)) for theta_i in LISTED_INCIDENCES}
     incidences = [
         {"theta_i": theta_i, **_within(limit, one.parameters, _error(one.error))} for theta_i, one in found.items()
     ]
     kept = {theta_i: one.parameters for theta_i, one in found.items() if not _refusal(limit, _error(one.error))}
     listed: dict[str, Any] = {"refused": "every incidence is refused"}
     if kept:
-        error = _error(error_by_incidence(bsdf, name, kept))
+        error = _error(error_by_incidence(light, name, kept))
         refusal = _refusal(limit, error)
         listed = {"error": error, **({"refused": refusal} if refusal else {"incidences": incidences})}
     return {
@@ -117,13 +117,13 @@ def _of_formula(bsdf: xr.Dataset, name: str, limit: _Limits) -> dict[str, Any]:
     }
 
 
-def _of_facets(bsdf: xr.Dataset, distribution: str, index: float | None, limit: _Limits) -> dict[str, Any]:
-    found = fit(bsdf, Form(distribution, dielectric, by_albedo, index))
+def _of_facets(light: ReflectedLight, distribution: str, index: float | None, limit: _Limits) -> dict[str, Any]:
+    found = fit(light, Form(distribution, dielectric, by_albedo, index))
     luminance = luminance_of_rgb()
     found = replace(
         found,
         delta_e=delta_e_of_greys(
-            nonspectral(bsdf), lambda *at: np.asarray(found.material.evaluate(*at[:4]) @ luminance)[:, None]
+            light.reduced, lambda *at: np.asarray(found.material.evaluate(*at[:4]) @ luminance)[:, None]
         ),
     )
     words = (

@@ -114,14 +114,31 @@ def statements(record: Mapping[str, Any]) -> list[str]:
 
 def errors_in_words(record: Mapping[str, Any]) -> list[str]:
     """The errors that a record states."""
-    errors = []
-    for one in record.get("fits", []):
-        for start, fit in ((one["formula"], one), (f"{one['formula']} by incidence", one.get("by_incidence", {}))):
-            if "error" in fit:
-                errors.append((f"{start}: ", fit["error"], fit.get("refused", "")))
+    errors = [(f"{name}: ", error, refused) for name, error, refused in _fits(record)]
     named = {"": "error", "light that passes: ": "error_of_transmission"}
     errors += [(start, record[key], "") for start, key in named.items() if isinstance(record.get(key), Mapping)]
     return [start + _stated(error, refused) for start, error, refused in errors]
+
+
+def errors_in_brief(record: Mapping[str, Any]) -> str:
+    """The errors in one sentence, for a cell of a table; of fits the medians of those that are written, the least first."""
+    fits = _fits(record)
+    if not fits:
+        return "; ".join(errors_in_words(record))
+    written = sorted((error["median"], name) for name, error, refused in fits if not refused)
+    medians = ", ".join(f"{name} {median:.1%}" for median, name in written)
+    refused = ", ".join(name for name, _, refusal in fits if refusal)
+    return f"error of BRDF·cos θ_o in the median: {medians}" + (f"; beyond a limit: {refused}" if refused else "")
+
+
+def _fits(record: Mapping[str, Any]) -> list[tuple[str, Mapping[str, Any], str]]:
+    """Name, error and refusal of each fit."""
+    return [
+        (name, fit["error"], str(fit.get("refused", "")))
+        for one in record.get("fits", [])
+        for name, fit in ((one["formula"], one), (f"{one['formula']} by incidence", one.get("by_incidence", {})))
+        if "error" in fit
+    ]
 
 
 def _stated(error: Mapping[str, Any], refused: str) -> str:
