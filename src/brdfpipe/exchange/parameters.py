@@ -1,6 +1,6 @@
-"""Parameters of closed formulas (``.parameters.json``): ABg, Harvey, K-correlation, and the widths of GGX and Beckmann, each with its error.
+"""Parameters of closed formulas (``.parameters.json``), each with its error.
 
-For optical design programs that take parameters instead of tables. A formula that is too far from the BSDF is listed with its error and without parameters.
+They are ABg, Harvey, K-correlation, Lambert + Gaussian, and the widths of GGX and Beckmann. For optical design programs that take parameters instead of tables. A formula that is too far from the BSDF is listed with its error and without parameters.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from brdfpipe import store
 from brdfpipe.appearance.origin import METAL_EXTINCTION
 from brdfpipe.errors import InputError
 from brdfpipe.exchange import records
-from brdfpipe.exchange.fits import evaluated
+from brdfpipe.exchange.fits import evaluated, gauss
 from brdfpipe.exchange.fits.fitting import Fit, Form, fit
 from brdfpipe.exchange.fits.forms import Lobe, Material, by_albedo, dielectric
 from brdfpipe.exchange.fits.light import ReflectedLight, delta_e_of_greys, index_of, luminance_of_rgb
@@ -37,7 +37,7 @@ from brdfpipe.exchange.registry import ExchangeError, Format
 _LARGEST_PARAMETER = 1e12
 
 FORMAT = Format(
-    description="parameters of ABg, Harvey, K-correlation, GGX and Beckmann, fitted, for optical design programs",
+    description="parameters of ABg, Harvey, K-correlation, Lambert + Gaussian, GGX and Beckmann, fitted, for optical design programs",
     files={"reflection": {"write": (".parameters.json",)}},
     refuses=("lay",),
     options={"largest_error": 0.25, "largest_delta_e": 5.0},
@@ -66,6 +66,7 @@ def write(bsdf: xr.Dataset, path: Path, *, largest_error: float, largest_delta_e
             raise ExchangeError(f"{option} is {value!r}; accepted: above 0")
     limits, light = _Limits(largest_error, largest_delta_e), ReflectedLight(bsdf)
     fits = [_of_formula(light, name, limits) for name in FORMULAS]
+    fits.append(_of_gauss(light, limits))
     n, k = index_of(bsdf)
     if k < METAL_EXTINCTION:
         fits += [_of_facets(light, distribution, n, limits) for distribution in ("ggx", "beckmann")]
@@ -115,6 +116,18 @@ def _of_formula(light: ReflectedLight, name: str, limit: _Limits) -> dict[str, A
         **_within(limit, of_all.parameters, _error(of_all.error)),
         "by_incidence": listed,
     }
+
+
+def _of_gauss(light: ReflectedLight, limit: _Limits) -> dict[str, Any]:
+    rows, found = gauss.fit_gauss(light)
+    error = _error(found)
+    refusal = _refusal(limit, error)
+    incidences = [
+        {"theta_i": theta_i, "parameters": {name: _digits(value) for name, value in row.items()}}
+        for theta_i, row in rows.items()
+    ]
+    written = {"refused": refusal} if refusal else {"incidences": incidences}
+    return {"formula": "lambert_gauss", "brdf": gauss.WORDS, **written, "error": error}
 
 
 def _of_facets(light: ReflectedLight, distribution: str, index: float | None, limit: _Limits) -> dict[str, Any]:
@@ -200,15 +213,25 @@ def _stated(path: Path, fit: dict[str, Any]) -> Iterator[_Stated]:
             yield _of_scatter(path, name, {0.0: parameters}, error)
         elif name in ("ggx", "beckmann"):
             yield _of_distribution(path, name, parameters, error)
+    if name in FORMULAS and (rows := _by_incidence(path, name, listed)):
+        yield _of_scatter(path, name, rows, _percentile(path, listed))
+    if name == "lambert_gauss" and (rows := _by_incidence(path, name, fit)):
+        yield _of_gaussians(path, rows, _percentile(path, fit))
+
+
+def _by_incidence(path: Path, name: str, listed: dict[str, Any]) -> dict[float, dict[str, Any]]:
+    """Increasing incidence [degree] → parameters; empty where there are none."""
     rows = listed.get("incidences")
-    if name in FORMULAS and isinstance(rows, list):
-        of_incidence = {
-            evaluated.number(path, row.get("theta_i"), "theta_i"): evaluated.part(path, row, "parameters")
-            for row in rows
-            if isinstance(row, dict) and "parameters" in row
-        }
-        if of_incidence:
-            yield _of_scatter(path, name, of_incidence, _percentile(path, listed))
+    found = {
+        evaluated.number(path, row.get("theta_i"), "theta_i"): evaluated.part(path, row, "parameters")
+        for row in (rows if isinstance(rows, list) else ())
+        if isinstance(row, dict) and "parameters" in row
+    }
+    theta_i = list(found)
+    if not (all(0 <= one <= 90 for one in theta_i) and (np.diff(theta_i) > 0).all()):
+        stated = ", ".join(f"{one:g}" for one in theta_i[:8])
+        raise InputError(path, f"the incidences of {name} do not increase", found=stated, accepted="0 to 90 degree")
+    return found
 
 
 def _percentile(path: Path, values: dict[str, Any]) -> float:
@@ -217,10 +240,7 @@ def _percentile(path: Path, values: dict[str, Any]) -> float:
 
 
 def _of_scatter(path: Path, name: str, listed: dict[float, dict[str, Any]], error: float) -> _Stated:
-    formula, theta_i = FORMULAS[name], list(listed)
-    if not (all(0 <= one <= 90 for one in theta_i) and (np.diff(theta_i) > 0).all()):
-        found = ", ".join(f"{one:g}" for one in theta_i[:8])
-        raise InputError(path, f"the incidences of {name} do not increase", found=found, accepted="0 to 90 degree")
+    formula = FORMULAS[name]
     parameters = {
         incidence: {key: _parameter(path, name, values, key) for key in (*formula.names, "L")}
         for incidence, values in listed.items()
@@ -237,6 +257,23 @@ def _of_scatter(path: Path, name: str, listed: dict[float, dict[str, Any]], erro
     )
 
 
+def _of_gaussians(path: Path, listed: dict[float, dict[str, Any]], error: float) -> _Stated:
+    rows = {
+        theta_i: {key: _parameter(path, "lambert_gauss", values, key, zero=True) for key in gauss.NAMES}
+        for theta_i, values in listed.items()
+    }
+    widths = [min(row["s_par"], row["s_perp"]) for row in rows.values() if row["G0"] > 0]
+    if widths and min(widths) == 0:
+        raise InputError(path, "a lobe of lambert_gauss has no width", found="0", accepted="s_par and s_perp above 0")
+    at = gauss.evaluation(rows)
+    return _Stated(
+        f"lambert_gauss by incidence ({len(rows)}), {gauss.WORDS}",
+        error,
+        float(np.clip(np.radians(min(widths, default=90.0)) / 4, 1e-4, 1.0)),
+        lambda theta_i, phi_i, theta_o, phi_o: at(theta_i, phi_i, theta_o, phi_o, None),
+    )
+
+
 def _of_distribution(path: Path, name: str, parameters: dict[str, Any], error: float) -> _Stated:
     alpha, n, base = (_parameter(path, name, parameters, key) for key in ("alpha", "n", "L"))
     if not (1 <= n <= evaluated.LARGEST_INDEX and alpha <= 1):
@@ -247,10 +284,11 @@ def _of_distribution(path: Path, name: str, parameters: dict[str, Any], error: f
     return _Stated(words, error, max(alpha, 1e-3), lambda *at: material.evaluate(*at)[:, :1])
 
 
-def _parameter(path: Path, formula: str, parameters: dict[str, Any], key: str) -> float:
+def _parameter(path: Path, formula: str, parameters: dict[str, Any], key: str, zero: bool = False) -> float:
+    """A number from 0; above it unless it is ``L``, or ``zero`` is accepted."""
     value = evaluated.number(path, parameters.get(key), f"{key} of {formula}")
     high = 1.0 if key == "L" else _LARGEST_PARAMETER
-    if not 0 <= value <= high or (value == 0 and key != "L"):
+    if not 0 <= value <= high or (value == 0 and key != "L" and not zero):
         raise InputError(
             path, f"{key} of {formula} is out of range", found=f"{value:g}", accepted=f"above 0, to {high:g}"
         )

@@ -121,14 +121,19 @@ def errors_in_words(record: Mapping[str, Any]) -> list[str]:
 
 
 def errors_in_brief(record: Mapping[str, Any]) -> str:
-    """The errors in one sentence, for a cell of a table; of fits the medians of those that are written, the least first."""
+    """The errors in one sentence, for a cell of a table; of fits the least median of each formula."""
     fits = _fits(record)
     if not fits:
         return "; ".join(errors_in_words(record))
-    written = sorted((error["median"], name) for name, error, refused in fits if not refused)
-    medians = ", ".join(f"{name} {median:.1%}" for median, name in written)
-    refused = ", ".join(name for name, _, refusal in fits if refusal)
-    return f"error of BRDF·cos θ_o in the median: {medians}" + (f"; beyond a limit: {refused}" if refused else "")
+    formulas = dict.fromkeys(name.split()[0] for name, _, _ in fits)
+    best = dict[str, tuple[float, str]]()
+    for name, error, refused in fits:
+        formula = name.split()[0]
+        if not refused and error["median"] < best.get(formula, (np.inf,))[0]:
+            best[formula] = error["median"], name
+    medians = ", ".join(f"{name} {median:.1%}" for median, name in sorted(best.values()))
+    beyond = ", ".join(one for one in formulas if one not in best)
+    return f"error of BRDF·cos θ_o in the median: {medians}" + (f"; beyond a limit: {beyond}" if beyond else "")
 
 
 def _fits(record: Mapping[str, Any]) -> list[tuple[str, Mapping[str, Any], str]]:

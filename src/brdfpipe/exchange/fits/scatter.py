@@ -141,13 +141,20 @@ def error_by_incidence(
     formula = FORMULAS[name]
     evaluate = at_incidence(formula, parameters)
     incidences = INCIDENCES if theta_i is None else np.array([theta_i])
-    errors, scattered = light.compared(theta_i).errors(evaluate), light.reflectance(incidences)
     lobe, base = _interpolated(formula, parameters, incidences)
-    off = np.abs(reflectance_of(formula, lobe, incidences) + base - scattered)
+    return error_of_fit(light, evaluate, reflectance_of(formula, lobe, incidences) + base, theta_i)
+
+
+def error_of_fit(
+    light: ReflectedLight, evaluate: Evaluate, reflectance: Array, theta_i: float | None = None
+) -> ScatterError:
+    """Error of a fit, and of its reflectance at :data:`brdfpipe.exchange.fits.light.INCIDENCES` or at the one incidence [degree] of the error."""
+    incidences = INCIDENCES if theta_i is None else np.array([theta_i])
+    errors, scattered = light.compared(theta_i).errors(evaluate), light.reflectance(incidences)
     return ScatterError(
         float(np.median(errors)),
         float(np.quantile(errors, 0.95)),
-        float((off / np.maximum(scattered, LEAST_REFLECTANCE)).max()),
+        float((np.abs(reflectance - scattered) / np.maximum(scattered, LEAST_REFLECTANCE)).max()),
         float(light.mirrored(incidences).errors(evaluate).max()),
         delta_e_of_greys(light.reduced, evaluate) if theta_i is None else None,
         errors.size,
