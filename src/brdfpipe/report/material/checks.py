@@ -11,7 +11,7 @@ import xarray as xr
 from brdfpipe import vocabulary
 from brdfpipe.appearance.verdicts import check_verdicts, json_object
 from brdfpipe.exchange.records import errors_in_brief
-from brdfpipe.exchange.registry import FORMATS, PROPERTIES
+from brdfpipe.exchange.registry import FORMATS, LOSSES
 from brdfpipe.report.cards import Section, Table
 from brdfpipe.report.formatting import quantity
 
@@ -68,7 +68,7 @@ def _exported(dataset: xr.Dataset) -> tuple[str, ...]:
     if len(set(errors.values())) > 1:
         errors = {file: f"{file}: {text}" for file, text in errors.items()}
     stated = "; ".join(dict.fromkeys(errors.values()))
-    lost = dict.fromkeys(PROPERTIES[key] for record in named.values() for key in record.get("left_out", {}))
+    lost = dict.fromkeys(LOSSES[key] for record in named.values() for key in record.get("left_out", {}))
     return ", ".join(json_object(dataset.attrs["files"])), side, described, stated, "; ".join(lost)
 
 
