@@ -51,7 +51,7 @@ def write(bsdf: xr.Dataset, path: Path) -> records.Record:
     record = records.record(cell_means.CellTable(bsdf, values, error, reading, "rgb"), FORMAT)
     between = cell_means.table_error(bsdf, table_nodes.interpolation(*_around(cell_means.luminous(values))))
     record["error"] |= {"interpolated": {"percentile_95": between.percentile_95, "albedo": between.albedo}}
-    record["left_out"] |= gamut | cell_means.irreciprocity(bsdf)
+    record["left_out"] |= gamut | cell_means.irreciprocity(cell_means.of_both_orders(bsdf))
     with store.atomic_path(path) as temporary, temporary.open("wb") as file:
         file.write(np.array(_SHAPE, dtype="<i4").tobytes())
         for channel, scale in enumerate(_SCALE):
