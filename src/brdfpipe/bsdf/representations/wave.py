@@ -73,6 +73,20 @@ def _mixed(dims: tuple[str, ...]) -> tuple[str, ...]:
     return tuple("mixed" if dim == "wavelength" else dim for dim in dims)
 
 
+def _spectral_at(bsdf: xr.Dataset, wavelength: Array | None) -> _Spectral:
+    """Fields of a ``bsdf`` dataset at wavelengths [nm], None for its own."""
+    excess = spectral_values(bsdf, "coherent_excess", wavelength)
+    lay = "phi_i" in bsdf.variables["coherent_excess"].dims
+    around = (bsdf.variables["phi_i"].values, ellipse_of(bsdf)) if lay else (None, None)
+    fields = CoupledBase.of(bsdf, wavelength), AlbedoTable(bsdf.variables["theta_i"].values, excess, *around)
+    if "mixture" in bsdf:
+        wavelength, n, k, mixture = (bsdf.variables[name].values for name in ("mixed_wavelength", "n", "k", "mixture"))
+        return _Spectral(wavelength, n, k, *fields, mixture)
+    used = bsdf["wavelength"].values if wavelength is None else np.asarray(wavelength, dtype=float)
+    n, k = (spectral_values(bsdf, name, wavelength) for name in ("n", "k"))
+    return _Spectral(used, n, k, *fields, None)
+
+
 class Wave(Representation):
     """A surface that reflects coherently, scatters as waves do and mirrors by facets, over a diffuse base.
 
@@ -113,28 +127,14 @@ class Wave(Representation):
 
     def __init__(self, dataset: xr.Dataset) -> None:
         super().__init__(dataset)
-        self._spectral = per_wavelength(self._at)
-        self._reflectance = per_wavelength(lambda wavelength: reflectance_of(*self._spectral(wavelength)[1:3]))
+        # Functions of the dataset, not of this object, which would keep itself alive.
+        spectral = per_wavelength(lambda wavelength: _spectral_at(dataset, wavelength))
+        self._spectral = spectral
+        self._reflectance = per_wavelength(lambda wavelength: reflectance_of(*spectral(wavelength)[1:3]))
 
     @cached_property
     def _surface(self) -> RoughSurface:
         return RoughSurface.of(self.dataset)
-
-    def _at(self, wavelength: Array | None) -> _Spectral:
-        bsdf = self.dataset
-
-        excess = spectral_values(bsdf, "coherent_excess", wavelength)
-        lay = "phi_i" in bsdf.variables["coherent_excess"].dims
-        around = (bsdf.variables["phi_i"].values, ellipse_of(bsdf)) if lay else (None, None)
-        fields = CoupledBase.of(bsdf, wavelength), AlbedoTable(bsdf.variables["theta_i"].values, excess, *around)
-        if "mixture" in bsdf:
-            wavelength, n, k, mixture = (
-                bsdf.variables[name].values for name in ("mixed_wavelength", "n", "k", "mixture")
-            )
-            return _Spectral(wavelength, n, k, *fields, mixture)
-        used = bsdf["wavelength"].values if wavelength is None else np.asarray(wavelength, dtype=float)
-        n, k = (spectral_values(bsdf, name, wavelength) for name in ("n", "k"))
-        return _Spectral(used, n, k, *fields, None)
 
     def with_changed(self, dataset: xr.Dataset, names: Collection[str]) -> Self:
         """See the base class."""
