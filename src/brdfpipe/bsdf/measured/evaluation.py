@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from brdfpipe import vocabulary
 from brdfpipe.bsdf.measured import coordinates
 from brdfpipe.bsdf.measured.node_interpolation import (
+    MARGIN,
     TINY,
     LobeCoordinates,
     PathDirection,
@@ -48,7 +49,7 @@ ACCURACY = 1e-4
 
 _CHUNK = 8192  # directions evaluated at a time, to limit memory
 _SAME_INCIDENCE = 0.5  # incidences within this distance of a node count as measured there [degree]
-_LARGEST_ERROR = float(np.log(10.0))  # upper limit of the error of a logarithm
+_LARGEST_ERROR = 20.0  # upper limit of the error of a logarithm, which has no exponential beyond
 _HORIZON_ERROR = 0.5  # relative error, beyond the last cell, of a decrease with cos θ_o as below a dielectric face
 _ERROR_RANGE = 10.0  # distance from a single incidence at which the logarithm is uncertain by 1 [degree]
 
@@ -269,30 +270,47 @@ def _uncertainties(side: Side, theta_i: Array, theta_o: Array, phi: Array) -> Ar
         if common.size:
             common += total @ np.swapaxes(side.common[:, node], 1, 2)
     variance += (common**2).sum(axis=0)
-    model_error = np.zeros_like(variance)
-    for path in paths:
-        # Both path directions may have the same error: in the mirror direction they coincide.
-        model_error += path.weight[:, None] * _model_error(side, path)
+    # Both path directions may have the same error: in the mirror direction they coincide.
+    error = np.sum([path.weight[:, None] * _model_error(side, path) for path in paths], axis=0)
+    error = np.minimum(np.hypot(error, _disagreement(side, paths)), _LARGEST_ERROR)
     value = path_values(side, paths)
-    model_error = np.hypot(model_error, _reciprocity_error(side, paths))
+    # Of a logarithm the value may be far too low: the error is that to the larger side, up to the largest value that was measured.
+    above = np.minimum(value * np.expm1(error), np.maximum(_ceiling(side, paths) - value, 0.0))
+    model_error = np.maximum(above, -value * np.expm1(-error))
     if side.logarithmic:
-        return value * np.sqrt(variance + model_error**2)
-    return np.sqrt(variance + (value * model_error) ** 2)
+        return np.hypot(value * np.sqrt(variance), model_error)
+    return np.hypot(np.sqrt(variance), model_error)
 
 
-def _reciprocity_error(side: Side, paths: list[PathDirection]) -> Array | float:
-    """Relative error of the mean of two path directions that disagree (directions, wavelength)."""
+def _ceiling(side: Side, paths: list[PathDirection]) -> Array:
+    """Largest plausible value: the largest one of the nodes beside it (directions, wavelength)."""
+    highest = np.zeros((paths[0].theta_i.size, side.coefficient.shape[1]))
+    for path in paths:
+        for node in range(side.incidence.size):
+            near = np.maximum(*node_weights(side, node, path.theta_i)) > 0
+            highest[near] = np.maximum(highest[near], _exponential_of(side, side.highest[node]))
+    return highest
+
+
+def _exponential_of(side: Side, fitted: Array) -> Array:
+    """The BSDF of a fitted quantity, with the margin of a logarithm."""
+    return np.exp(fitted + MARGIN) if side.logarithmic else fitted
+
+
+def _disagreement(side: Side, paths: list[PathDirection]) -> Array | float:
+    """Error of the logarithm of the mean of two path directions that disagree by more than they are uncertain (directions, wavelength)."""
     if len(paths) == 1:
         return 0.0
     forward, backward = (
         np.log(np.maximum(path_values(side, [path._replace(weight=np.ones_like(path.weight))]), TINY)) for path in paths
     )
-    weight = np.sqrt(paths[0].weight * paths[1].weight)[:, None]
-    return weight * np.minimum(np.abs(forward - backward), _LARGEST_ERROR)
+    expected = (paths[0].error ** 2 + paths[1].error ** 2)[:, None]
+    weight = (paths[0].weight * paths[1].weight)[:, None]
+    return np.sqrt(weight * np.maximum((forward - backward) ** 2 - expected, 0.0))
 
 
 def _model_error(side: Side, path: PathDirection) -> Array:
-    """Relative error of interpolation and extrapolation over incidence, and below the horizon (directions, wavelength)."""
+    """Error of the logarithm by interpolation and extrapolation over incidence, and below the horizon (directions, wavelength)."""
     lobe = lobe_coordinates(side, path)
     below_horizon = np.zeros((path.theta_i.size, side.coefficient.shape[1]))
     for node in range(side.incidence.size):
@@ -307,7 +325,7 @@ def _model_error(side: Side, path: PathDirection) -> Array:
             change = np.hypot(change, _HORIZON_ERROR * np.log(np.maximum(cosine_ratio, 1.0))[:, None])
             below_horizon[pairs[changed]] += weight[pairs[changed], None] * change
     over_incidence = _interpolation_error(side, path, lobe)
-    return np.expm1(np.minimum(np.hypot(below_horizon, over_incidence), _LARGEST_ERROR))
+    return np.hypot(below_horizon, over_incidence)
 
 
 def _interpolation_error(side: Side, path: PathDirection, lobe: LobeCoordinates) -> Array:

@@ -14,13 +14,14 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from brdfpipe.bsdf.measured.basis import FINE, GRAZING, PSpline
+from brdfpipe.bsdf.measured.basis import FINE, GRAZING, GRAZING_WIDTH, PSpline
 from brdfpipe.compilation import compiled
 from brdfpipe.geometry import Array
 
 if TYPE_CHECKING:
     from brdfpipe.bsdf.measured.node_interpolation import Side
 
+ERROR_SCALE = 3.0  # of asinh(ϑ/scale), in which the error of a direction of light is interpolated [degree]
 _LEAST_COSINE = math.cos(math.radians(89.999999))  # of an incidence, as of the abscissa
 
 
@@ -40,7 +41,13 @@ class Nodes(NamedTuple):
     coefficient: Array
     """(node, spline of a harmonic, wavelength), also of the splines that a harmonic leaves out: theirs are 0"""
     grazing: Array
-    """(node, scale, wavelength)"""
+    """(node, scale of a harmonic, wavelength)"""
+    grazing_order: NDArray[np.int64]
+    """(grazing harmonic,) k of cos kφ, then of sin kφ"""
+    grazing_wave: NDArray[np.int64]
+    """(grazing harmonic,) the same harmonic among all"""
+    grazing_width: float
+    """ϑ beyond which these harmonics have their full size"""
     limits: Array
     """(node, wavelength, 2) least and largest logarithm"""
     scale: float
@@ -59,10 +66,14 @@ class Nodes(NamedTuple):
     """(harmonic,) its first spline among the coefficients"""
     grazing_scale: Array
     """(scale,) in cos θ_o"""
-    error_angle: Array
+    error_theta: Array
     """Incidences of the next; empty where the two directions of light are not averaged"""
+    error_t: Array
+    """asinh(ϑ/scale) of the next"""
+    error_cosine: Array
+    """cos φ of the next"""
     error: Array
-    """Relative error of the BSDF from an incidence"""
+    """Uncertainty of the logarithm of the BSDF in one direction of light (incidence, ϑ, φ)"""
 
     @classmethod
     def of(cls, side: Side, basis: PSpline, margin: float) -> Nodes:
@@ -70,7 +81,7 @@ class Nodes(NamedTuple):
         parts = basis.of_all_splines(np.moveaxis(side.coefficient, -1, 0))
         sizes = np.array([len(part) for part in parts])
         cosine = np.cos(np.radians(side.incidence))
-        angle, error = side.incidence_error or (np.zeros(0), np.zeros(0))
+        error = side.path_error or (np.zeros(0), np.zeros(0), np.zeros(0), np.zeros((0, 0, 0)))
         return cls(
             side.about == "half",
             cosine,
@@ -78,7 +89,12 @@ class Nodes(NamedTuple):
             np.cos(np.radians(side.horizon)),
             np.ascontiguousarray(side.abscissa),
             np.ascontiguousarray(np.moveaxis(np.concatenate(parts), 0, 1)),
-            np.ascontiguousarray(np.swapaxes(side.coefficient, 1, 2)[:, -len(GRAZING) :]),
+            np.ascontiguousarray(
+                np.swapaxes(side.coefficient, 1, 2)[:, -len(GRAZING) * basis.grazing_orders.size :]
+            ),
+            basis.grazing_orders,
+            np.concatenate([np.arange(basis.grazing_harmonics + 1), basis.harmonics + basis.grazing_orders[basis.grazing_harmonics + 1 :]]),
+            math.radians(GRAZING_WIDTH),
             np.stack([side.lowest - margin, side.highest + margin], axis=-1),
             basis.scale,
             basis.knots(True),
@@ -88,8 +104,7 @@ class Nodes(NamedTuple):
             np.isin(basis.orders, FINE).astype(np.int64),
             np.cumsum(sizes) - sizes,
             np.array(GRAZING),
-            np.radians(angle),
-            np.asarray(error, dtype=float),
+            *error,
         )
 
 
@@ -108,11 +123,13 @@ def _values(nodes: Nodes, theta_i: Array, theta_o: Array, phi: Array, result: Ar
     node_sines, order, fine, first = nodes.sine, nodes.order, nodes.fine, nodes.first
     knots, coarse_knots, coefficient = nodes.knots, nodes.coarse_knots, nodes.coefficient
     grazing, grazing_scale, fitted = nodes.grazing, nodes.grazing_scale, nodes.limits
-    error_angle, error = nodes.error_angle, nodes.error
+    grazing_order, grazing_wave = nodes.grazing_order, nodes.grazing_wave
+    error_theta, error_t, error_cosine, error = nodes.error_theta, nodes.error_t, nodes.error_cosine, nodes.error
     # Of a direction, and of a node at its horizon.
     starts, splines, wave = np.empty((2, 2), dtype=np.int64), np.empty((2, 2, 4)), np.empty((2, order.size))
+    rise = np.empty(2)
     limits = np.empty((result.shape[1], 2))
-    last, averaged = abscissa.size - 1, error_angle.size > 0
+    last, averaged = abscissa.size - 1, error_theta.size > 0
     for j in range(result.shape[0]):
         limits[:] = 0.0
         t_i, t_o = math.tan(theta_i[j] / 2), math.tan(theta_o[j] / 2)
@@ -124,16 +141,19 @@ def _values(nodes: Nodes, theta_i: Array, theta_o: Array, phi: Array, result: Ar
         t = math.asinh(math.degrees(theta) / scale)
         _set_splines(coarse_knots, t, 0, 0, starts, splines)
         _set_splines(knots, t, 0, 1, starts, splines)
+        rise[0] = _rise(theta, nodes.grazing_width)
         sin_half, cos_half = math.sin(theta / 2), math.cos(theta / 2)
-        weight = 1.0
+        weight, back_along, back_across = 1.0, along, across
         if averaged:
-            forward = _interpolated(theta_i[j], error_angle, error) ** 2
-            backward = _interpolated(theta_o[j], error_angle, error) ** 2
+            _, back_along, back_across = _lobe(about_half, sin_o, cos_o, sin_i, cos_i, -difference, cos_phi, -sin_phi)
+            t = math.asinh(math.degrees(theta) / ERROR_SCALE)
+            forward = _interpolated(theta_i[j], t, along, error_theta, error_t, error_cosine, error) ** 2
+            backward = _interpolated(theta_o[j], t, back_along, error_theta, error_t, error_cosine, error) ** 2
             weight = backward / (forward + backward)
         for direction in range(2 if averaged else 1):
             if direction == 1:
                 cos_i, cos_o, weight = cos_o, cos_i, 1 - weight
-                _, along, across = _lobe(about_half, sin_o, cos_i, sin_i, cos_o, -difference, cos_phi, -sin_phi)
+                along, across = back_along, back_across
             _set_waves(sines, along, across, 0, wave)
             x = -math.log(max(cos_i, _LEAST_COSINE))
             after = int(np.searchsorted(abscissa, x, side="right"))
@@ -157,6 +177,7 @@ def _values(nodes: Nodes, theta_i: Array, theta_o: Array, phi: Array, result: Ar
                     own, own_along, own_across = _lobe(
                         about_half, sin_node, cos_node, sine, horizon, sin_node - sine, math.cos(turn), math.sin(turn)
                     )
+                    rise[1] = _rise(own, nodes.grazing_width)
                     t = math.asinh(math.degrees(own) / scale)
                     _set_splines(coarse_knots, t, 1, 0, starts, splines)
                     _set_splines(knots, t, 1, 1, starts, splines)
@@ -170,14 +191,23 @@ def _values(nodes: Nodes, theta_i: Array, theta_o: Array, phi: Array, result: Ar
                             own += splines[at, fine[harmonic], n] * coefficient[node, start + n, w]
                         result[j, w] += share * own
                 for n in range(grazing_scale.size):
-                    share = even * math.exp(-max(cos_o, horizon, 0.0) / grazing_scale[n])
-                    for w in range(result.shape[1]):
-                        result[j, w] += share * grazing[node, n, w]
+                    decay = math.exp(-max(cos_o, horizon, 0.0) / grazing_scale[n])
+                    for harmonic in range(grazing_order.size):
+                        k = grazing_order[harmonic]
+                        share = decay * wave[at, grazing_wave[harmonic]] * rise[at] ** k * (odd if k % 2 else even)
+                        for w in range(result.shape[1]):
+                            result[j, w] += share * grazing[node, harmonic * grazing_scale.size + n, w]
                 for w in range(result.shape[1]):
                     limits[w, 0] += even * fitted[node, w, 0]
                     limits[w, 1] += even * fitted[node, w, 1]
         for w in range(result.shape[1]):
             result[j, w] = math.exp(min(max(result[j, w], limits[w, 0]), limits[w, 1]))
+
+
+@compiled
+def _rise(theta: float, width: float) -> float:
+    """Of the harmonics of the functions of cos θ_o."""
+    return theta / math.sqrt(theta * theta + width * width)
 
 
 @compiled
@@ -209,15 +239,27 @@ def _set_splines(knots: Array, t: float, at: int, fine: int, starts: NDArray[np.
 
 
 @compiled
-def _interpolated(x: float, places: Array, given: Array) -> float:
-    """Linear interpolation, constant beyond the ends, as ``numpy.interp``."""
-    if x <= places[0]:
-        return given[0]
-    if x >= places[-1]:
-        return given[-1]
-    after = int(np.searchsorted(places, x, side="right"))
-    slope = (given[after] - given[after - 1]) / (places[after] - places[after - 1])
-    return slope * (x - places[after - 1]) + given[after - 1]
+def _interpolated(
+    theta: float, t: float, cosine: float, thetas: Array, ts: Array, cosines: Array, given: Array
+) -> float:
+    """Linear interpolation over three coordinates, constant beyond the ends."""
+    i, x = _place(theta, thetas)
+    j, y = _place(t, ts)
+    k, z = _place(cosine, cosines)
+    total = 0.0
+    for m in range(2):
+        for n in range(2):
+            own = (1 - z) * given[i + m, j + n, k] + z * given[i + m, j + n, k + 1]
+            total += (x if m else 1 - x) * (y if n else 1 - y) * own
+    return total
+
+
+@compiled
+def _place(x: float, places: Array) -> tuple[int, float]:
+    """The interval of some places that x is in, or the nearest one, and where in it from 0 to 1."""
+    before = min(max(int(np.searchsorted(places, x, side="right")) - 1, 0), places.size - 2)
+    share = (x - places[before]) / (places[before + 1] - places[before])
+    return before, min(max(share, 0.0), 1.0)
 
 
 @compiled

@@ -33,6 +33,8 @@ _FINEST_SUPPORT = 3.0
 """Smallest support of the Keldysh basis's finest scale [degree]: two standard deviations of a narrow lobe, and a few cells."""
 _ORDERS = 9
 """Number of its polynomials: five, as printed, leave errors of 9 % in a narrow lobe once n − k is even; more scales do not help."""
+_FEW_CELLS = 10, 40
+"""Numbers of cells up to which cross-validation tells nothing of the roughness between them, and from which it tells all."""
 _PASSES = 12
 _CONVERGED = 0.1  # change of the fit, in standard uncertainties, above which another pass follows
 _LARGEST_STEP = 3.0  # of the logarithm in a pass: far from a value the exponential differs from its tangent
@@ -157,7 +159,10 @@ def uncertainty(smoothed: xr.Dataset, theta_s: ArrayLike, phi_s: ArrayLike) -> x
     if "coefficient_common" in smoothed:
         common = smoothed["coefficient_common"].values
         variance += ((rows[:, None] @ common[..., None])[..., 0] ** 2).sum(axis=0)
-    u = np.sqrt(variance) * (values if smoothed.attrs["link"] == "log" else 1.0)
+    u = np.sqrt(variance)
+    if smoothed.attrs["link"] == "log":
+        # The error to the larger side: a value that is far too low is within it.
+        u = values * np.expm1(np.minimum(u, _LARGEST_EXPONENT))
     return _over_directions(smoothed, u, "standard uncertainty of the BSDF")
 
 
@@ -303,7 +308,7 @@ def _fit(form: StandardForm, cells: _CellValues, mode: str, strength: float | No
     u = np.where(missing, np.inf, u)
     if (np.isfinite(u) != np.isfinite(without_zeros)).any():
         solution = solve(u)
-    factor = solution.problems.covariance_factor(solution.strength)
+    factor = solution.problems.covariance_factor(_strength_of_uncertainty(solution) if mode == "pspline" else solution.strength)
     weight = _weight(u, printed)
     # Common errors δz change the solution by its covariance times Bᵀ W² δz.
     squared_weight = solution.fitted / u**2 if mode == "pspline" else weight**2
@@ -314,6 +319,14 @@ def _fit(form: StandardForm, cells: _CellValues, mode: str, strength: float | No
         factor = np.swapaxes(np.asarray(np.linalg.qr(np.swapaxes(gain, 1, 2), mode="r")), 1, 2)
     residual = np.where(np.isfinite(u), (value - solution.fitted) / _finite(u, 1.0), np.nan)
     return _Fit(solution, factor, shift, residual, used, int(missing.sum()))
+
+
+def _strength_of_uncertainty(solution: _Solution) -> float:
+    """The strength of the covariance: of few cells that of the roughest BSDF, because they cannot tell how rough it is between them."""
+    cells = float(solution.problems.counts.max())
+    known = float(np.clip((cells - _FEW_CELLS[0]) / (_FEW_CELLS[1] - _FEW_CELLS[0]), 0.0, 1.0))
+    roughest = min(solution.strength, float(_STRENGTHS[0]))
+    return float(roughest ** (1 - known) * solution.strength**known)
 
 
 def _weight(u: Array, printed: Array | None) -> Array:
@@ -481,7 +494,12 @@ def _with_notes(smoothed: xr.Dataset, fits: list[_Fit], strength: float | None) 
             f"{empty} of {smoothed['chi_squared_dof'].size} fits, one for each incidence and wavelength, have no cell with a value."
         )
     for fit, incidence in zip(fits, smoothed["incidence"].values, strict=True):
-        if fit.used.any() and np.isnan(fit.chi_squared_dof).any():
+        if mode == "pspline" and fit.used.any() and fit.solution.problems.counts.max() < _FEW_CELLS[0]:
+            warnings.append(
+                f"The fit at {incidence:g}° has only {fit.solution.problems.counts.max():g} cells with values, which do not tell how far off it is "
+                "between them: its uncertainty is that of the roughest BSDF. Measure more cells."
+            )
+        elif fit.used.any() and np.isnan(fit.chi_squared_dof).any():
             warnings.append(
                 f"The fit at {incidence:g}° has as many parameters as cells with values: nothing tells how far off it is between them, and its "
                 "uncertainty there is too small. Measure more cells."
