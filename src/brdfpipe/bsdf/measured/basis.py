@@ -29,6 +29,7 @@ GRAZING_HARMONICS = 2  # of φ
 GRAZING_WIDTH = 30.0  # distance from the mirror direction beyond which these harmonics have their full size [degree]
 FINE = (0, 1, 2, 4)
 """Harmonics with all knots: a lobe stretched along the plane of incidence needs even ones; others have every second knot."""
+_PLACES = 8  # places in an interval at which splines are compared
 _MOST_POINTS = 20_000  # largest number of points over the sphere: 1.4° apart
 _AZIMUTHAL = 5.0  # weight of curvature along φ over that along ϑ: lobes vary less around the mirror direction
 
@@ -115,6 +116,18 @@ class PSpline:
             before = own[:1] if k == 0 else np.zeros((left_out, *own.shape[1:]))
             parts.append(np.concatenate([before, own]))
         return parts
+
+    @cached_property
+    def coarser(self) -> Array:
+        """Matrix (terms, fewer) to the coefficients from those of the same functions with every second knot, which these contain."""
+        from scipy.linalg import block_diag
+
+        t = np.linspace(self.edges[0], self.edges[-1], _PLACES * len(self.edges))
+        blocks = []
+        for k in self.orders.tolist():
+            own, coarse = (self._smooth_at_0(k, self._splines(fine, t).toarray()) for fine in (k in FINE, False))
+            blocks.append(np.linalg.lstsq(own, coarse)[0])
+        return np.asarray(block_diag(*blocks, np.eye(len(GRAZING) * self.grazing_orders.size)))
 
     def roughness(self, theta: Array, phi: Array) -> Array:
         """Rows D (any, terms); the cells at ϑ and φ do not matter to this basis."""

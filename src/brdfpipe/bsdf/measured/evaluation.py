@@ -50,7 +50,8 @@ ACCURACY = 1e-4
 _CHUNK = 8192  # directions evaluated at a time, to limit memory
 _SAME_INCIDENCE = 0.5  # incidences within this distance of a node count as measured there [degree]
 _LARGEST_ERROR = 20.0  # upper limit of the error of a logarithm, which has no exponential beyond
-_HORIZON_ERROR = 0.5  # relative error, beyond the last cell, of a decrease with cos θ_o as below a dielectric face
+_HORIZON_ERROR = 0.5  # largest error of the logarithm beyond the last cell, of a change with cos θ_o as below a dielectric face
+_HORIZON_RISE = 0.02  # added to cos θ_o, so that the error rises evenly from the last cell on
 _ERROR_RANGE = 10.0  # distance from a single incidence at which the logarithm is uncertain by 1 [degree]
 
 
@@ -277,9 +278,8 @@ def _uncertainties(side: Side, theta_i: Array, theta_o: Array, phi: Array) -> Ar
     # Of a logarithm the value may be far too low: the error is that to the larger side, up to the largest value that was measured.
     above = np.minimum(value * np.expm1(error), np.maximum(_ceiling(side, paths) - value, 0.0))
     model_error = np.maximum(above, -value * np.expm1(-error))
-    if side.logarithmic:
-        return np.hypot(value * np.sqrt(variance), model_error)
-    return np.hypot(np.sqrt(variance), model_error)
+    spread = np.sqrt(variance)
+    return np.hypot(value * np.expm1(np.minimum(spread, _LARGEST_ERROR)) if side.logarithmic else spread, model_error)
 
 
 def _ceiling(side: Side, paths: list[PathDirection]) -> Array:
@@ -321,8 +321,8 @@ def _model_error(side: Side, path: PathDirection) -> Array:
         if changed.size:
             continued, _ = coordinates_at_node(side, node, lobe.select(pairs[changed]), clamped=False)
             change = np.abs(_logarithm(side, node, continued) - _logarithm(side, node, clamped.select(changed)))
-            cosine_ratio = np.cos(np.radians(side.horizon[node])) / np.maximum(lobe.cosine[pairs[changed]], TINY)
-            change = np.hypot(change, _HORIZON_ERROR * np.log(np.maximum(cosine_ratio, 1.0))[:, None])
+            lost = np.maximum(np.cos(np.radians(side.horizon[node])) - lobe.cosine[pairs[changed]], 0.0)
+            change = np.hypot(change, (_HORIZON_ERROR * lost / (lost + lobe.cosine[pairs[changed]] + _HORIZON_RISE))[:, None])
             below_horizon[pairs[changed]] += weight[pairs[changed], None] * change
     over_incidence = _interpolation_error(side, path, lobe)
     return np.hypot(below_horizon, over_incidence)

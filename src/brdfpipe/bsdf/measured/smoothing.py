@@ -24,6 +24,9 @@ from brdfpipe.errors import VocabularyError
 from brdfpipe.geometry import Array, check_angles
 from brdfpipe.specular_directions import cos_view
 
+RESOLUTION = "resolution"
+"""Component of the uncertainty of what cells and knots do not resolve."""
+
 MODES = ("pspline", "keldysh", "keldysh-printed")
 
 _STRENGTHS = np.geomspace(0.03, 3e6, 41)
@@ -35,6 +38,8 @@ _ORDERS = 9
 """Number of its polynomials: five, as printed, leave errors of 9 % in a narrow lobe once n − k is even; more scales do not help."""
 _FEW_CELLS = 10, 40
 """Numbers of cells up to which cross-validation tells nothing of the roughness between them, and from which it tells all."""
+_UNRESOLVED = 0.5
+"""Error of the fit over its change with every second knot, at a lobe's edge that neither resolves; of resolved ones it is less, and so is the change."""
 _PASSES = 12
 _CONVERGED = 0.1  # change of the fit, in standard uncertainties, above which another pass follows
 _LARGEST_STEP = 3.0  # of the logarithm in a pass: far from a value the exponential differs from its tangent
@@ -73,6 +78,7 @@ class _Fit(NamedTuple):
     residual: Array  # (wavelength, cell) over the uncertainty; missing where unused
     used: NDArray[np.bool_]  # (all wavelengths,) those with values
     zeros: int  # missing values that were stored as zero
+    resolution: Array | None  # (wavelength, terms of the basis) change by what cells and knots do not resolve
 
     @property
     def chi_squared_dof(self) -> Array:
@@ -134,8 +140,9 @@ def smooth(
     elif about is None:
         about = _better_coordinates(primary, cells, basis, isotropic)
     forms = [_standard_form(primary, basis, about, at, isotropic) for at in range(len(cells))]
+    coarse = [_standard_form(primary, basis, about, at, isotropic, coarse=True) for at in range(len(cells))] if mode == "pspline" else [None] * len(cells)
     preprint_weights = np.sqrt(_ring_weights(primary["theta_s"].values)) if mode == "keldysh-printed" else None
-    fits = [_fit(form, values, mode, strength, preprint_weights) for form, values in zip(forms, cells, strict=True)]
+    fits = [_fit(form, values, mode, strength, preprint_weights, coarser) for form, values, coarser in zip(forms, cells, coarse, strict=True)]
     link = "log" if mode == "pspline" else "identity"
     attrs = {name: primary.attrs[name] for name in ("history", "warnings") if name in primary.attrs}
     attrs |= {"mode": mode, "link": link, "about": about, "basis": bases.to_json(basis), "side": side}
@@ -249,8 +256,10 @@ def _basis(mode: str, primary: xr.Dataset, symmetric: bool, scales: int | None) 
     return Keldysh(domain, scales or int(np.log2(domain / _FINEST_SUPPORT)) + 1, _ORDERS, symmetric=symmetric)
 
 
-def _standard_form(primary: xr.Dataset, basis: Basis, about: str, at: int, isotropic: bool) -> StandardForm:
-    """The basis at the cells of an incidence; without φ at normal incidence if isotropic."""
+def _standard_form(
+    primary: xr.Dataset, basis: Basis, about: str, at: int, isotropic: bool, *, coarse: bool = False
+) -> StandardForm:
+    """The basis at the cells of an incidence, or that with every second knot; without φ at normal incidence if isotropic."""
     incidence, theta, phi = float(primary["incidence"][at]), primary["theta_s"].values, primary["phi_s"].values
     angles = cell_angles(about, incidence, theta, phi)
     rows, roughness = basis.rows(*angles, cos_view(incidence, theta, phi)), basis.roughness(*angles)
@@ -259,9 +268,12 @@ def _standard_form(primary: xr.Dataset, basis: Basis, about: str, at: int, isotr
         weight = np.sqrt(_ring_weights(theta) / bases.solid_angles(theta, phi))
         roughness = roughness * np.concatenate([weight, weight])[:, None]
     terms = (basis.harmonic == 0) | (incidence > 0) | printed | (not isotropic)
-    form = StandardForm.of(rows[:, terms], roughness[:, terms])
-    to_basis = np.zeros((terms.size, form.to_basis.shape[1]))
-    to_basis[terms] = form.to_basis
+    finer = np.eye(terms.size)[:, terms]
+    if coarse and isinstance(basis, PSpline):
+        finer = basis.coarser * terms[:, None]
+        finer = finer[:, finer.any(axis=0)]
+    form = StandardForm.of(rows @ finer, roughness @ finer)
+    to_basis = finer @ form.to_basis
     return StandardForm(form.rows, form.free, to_basis)
 
 
@@ -291,7 +303,14 @@ def _better_coordinates(primary: xr.Dataset, cells: list[_CellValues], basis: Ba
 # --- the fit of one incidence
 
 
-def _fit(form: StandardForm, cells: _CellValues, mode: str, strength: float | None, printed: Array | None) -> _Fit:
+def _fit(
+    form: StandardForm,
+    cells: _CellValues,
+    mode: str,
+    strength: float | None,
+    printed: Array | None,
+    coarse: StandardForm | None,
+) -> _Fit:
     """Fit one incidence. Exact zeros among bright cells are left out; among dim cells they may be noise, and count."""
     used = np.asarray(np.isfinite(cells.u).any(axis=1))
     value, u, common = cells.value[used], cells.u[used], cells.common[:, used]
@@ -318,7 +337,21 @@ def _fit(form: StandardForm, cells: _CellValues, mode: str, strength: float | No
         gain = factor @ (np.swapaxes(factor, 1, 2) @ (form.rows.T * (weight**2 * _finite(u))[:, None, :]))
         factor = np.swapaxes(np.asarray(np.linalg.qr(np.swapaxes(gain, 1, 2), mode="r")), 1, 2)
     residual = np.where(np.isfinite(u), (value - solution.fitted) / _finite(u, 1.0), np.nan)
-    return _Fit(solution, factor, shift, residual, used, int(missing.sum()))
+    resolution = None if coarse is None else _change_of_knots(form, coarse, solution, value, u)
+    return _Fit(solution, factor, shift, residual, used, int(missing.sum()), resolution)
+
+
+def _change_of_knots(
+    form: StandardForm, coarse: StandardForm, solution: _Solution, value: Array, u: Array
+) -> Array:
+    """Error of the fit (wavelength, terms) between cells, and knots, that do not resolve the BSDF.
+
+    It is a share of what changes with every second knot: nothing, where both resolve it.
+    """
+    mean = solution.fitted
+    problems = Decomposition.of(coarse, mean / u, _working_response(value, mean))
+    changed = problems.solution(solution.strength) @ coarse.to_basis.T
+    return _UNRESOLVED * (changed - solution.coefficients @ form.to_basis.T)
 
 
 def _strength_of_uncertainty(solution: _Solution) -> float:
@@ -416,7 +449,10 @@ def _dataset(primary: xr.Dataset, fits: list[_Fit]) -> xr.Dataset:
     terms, width = fits[0].solution.problems.form.to_basis.shape[0], max(fit.factor.shape[2] for fit in fits)
     coefficient = np.full((*shape, terms), np.nan)
     factor = np.zeros((*shape, terms, width), dtype=np.float32)
-    common = np.full((fits[0].shift.shape[0], *shape, terms), np.nan)
+    components = [*_components(primary, "common")]
+    if fits[0].resolution is not None:
+        components.append(RESOLUTION)
+    common = np.full((len(components), *shape, terms), np.nan)
     residual, chi_squared_dof = np.full((*shape, primary.sizes["cell"]), np.nan), np.full(shape, np.nan)
     for at, fit in enumerate(fits):
         to_basis = fit.solution.problems.form.to_basis
@@ -425,7 +461,9 @@ def _dataset(primary: xr.Dataset, fits: list[_Fit]) -> xr.Dataset:
         inflation = np.sqrt(np.maximum(np.nan_to_num(fit.chi_squared_dof), 1.0))
         factor[at, fit.used, :, : fit.factor.shape[2]] = to_basis @ (fit.factor * inflation[:, None, None])
         factor[at, ~fit.used] = np.nan
-        common[:, at, fit.used] = fit.shift @ to_basis.T
+        common[: len(fit.shift), at, fit.used] = fit.shift @ to_basis.T
+        if fit.resolution is not None:
+            common[-1, at, fit.used] = fit.resolution
         residual[at, fit.used], chi_squared_dof[at, fit.used] = fit.residual, fit.chi_squared_dof
     smoothed = xr.Dataset(
         {
@@ -439,7 +477,7 @@ def _dataset(primary: xr.Dataset, fits: list[_Fit]) -> xr.Dataset:
         coords={name: primary[name].variable for name in _CELL_COORDINATES if name in primary.coords},
     )
     if common.size:
-        smoothed = smoothed.assign_coords(component=[*_components(primary, "common")])
+        smoothed = smoothed.assign_coords(component=components)
         smoothed["coefficient_common"] = (("component", "incidence", "wavelength", "term"), common)
     return vocabulary.label(smoothed, "smoothed")
 
