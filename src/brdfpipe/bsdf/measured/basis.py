@@ -25,10 +25,13 @@ if TYPE_CHECKING:
 
 DEGREE = 3
 GRAZING = (0.05, 0.15)  # scales in cos θ_o of the functions that describe the BSDF towards grazing
-GRAZING_HARMONICS = 2  # of φ
+GRAZING_HARMONICS = 1  # of φ
 GRAZING_WIDTH = 30.0  # distance from the mirror direction beyond which these harmonics have their full size [degree]
 FINE = (0, 1, 2, 4)
 """Harmonics with all knots: a lobe stretched along the plane of incidence needs even ones; others have every second knot."""
+_GRAZING_RESISTANCE = (
+    4.0  # of the harmonics of the functions of cos θ_o against a size above 0, over that of the functions themselves
+)
 _PLACES = 8  # places in an interval at which splines are compared
 _MOST_POINTS = 20_000  # largest number of points over the sphere: 1.4° apart
 _AZIMUTHAL = 5.0  # weight of curvature along φ over that along ϑ: lobes vary less around the mirror direction
@@ -87,7 +90,9 @@ class PSpline:
         splines = {fine: self._splines(fine, t).toarray() for fine in (True, False)}
         blocks = [self._smooth_at_0(k, splines[k in FINE]) * wave[:, None] for k, wave in self._harmonics(phi)]
         grazing = _grazing(cosine)
-        return np.concatenate([*blocks, *(grazing * wave[:, None] for _, wave in self._grazing_waves(theta, phi))], axis=1)
+        return np.concatenate(
+            [*blocks, *(grazing * wave[:, None] for _, wave in self._grazing_waves(theta, phi))], axis=1
+        )
 
     def sums(self, coefficient: Array, theta: Array, phi: Array, cosine: Array, even: Array, odd: Array) -> Array:
         """Sums (directions, any) of the functions with coefficients (terms, any), weighted by ``even`` or ``odd`` (directions,) by k.
@@ -143,7 +148,8 @@ class PSpline:
             blocks += blocks[1:]
         from scipy.linalg import block_diag
 
-        return np.asarray(block_diag(*blocks, np.eye(len(GRAZING) * self.grazing_orders.size)))
+        grazing = np.where(self.grazing_orders == 0, 1.0, _GRAZING_RESISTANCE).repeat(len(GRAZING))
+        return np.asarray(block_diag(*blocks, np.diag(grazing)))
 
     def _harmonics(self, phi: Array) -> Iterator[tuple[int, Array]]:
         """k, and cos kφ or sin kφ, of :attr:`orders`."""

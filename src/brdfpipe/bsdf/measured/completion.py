@@ -17,8 +17,8 @@ from brdfpipe.bsdf.measured.basis import Basis
 from brdfpipe.bsdf.measured.coordinates import cell_angles, outgoing
 from brdfpipe.bsdf.measured.evaluation import REPRESENTATION, evaluate, lobe_slope, uncertainty
 from brdfpipe.bsdf.measured.node_interpolation import interpolation_abscissa
-from brdfpipe.bsdf.measured.smoothing import RESOLUTION
 from brdfpipe.bsdf.measured.reciprocity import with_contradictions
+from brdfpipe.bsdf.measured.resolution import RESOLUTION
 from brdfpipe.errors import VocabularyError
 from brdfpipe.geometry import Array
 from brdfpipe.hemisphere import around_mirror
@@ -288,10 +288,9 @@ def _fill_hidden_region(nodes: _Nodes, others: _Nodes, basis: Basis, radius: flo
         factor = nodes.factor[0, wavelength]
         before = np.block([[noise, rows @ factor], [np.zeros((factor.shape[0], noise.shape[1])), factor]])
         after = np.asarray(np.linalg.qr(before.T, mode="r")).T
-        innovation = expected - rows @ nodes.coefficient[0, wavelength]
-        nodes.coefficient[0, wavelength] += after[_FILLED_ANGLES:, :_FILLED_ANGLES] @ np.linalg.solve(
-            after[:_FILLED_ANGLES, :_FILLED_ANGLES], innovation
-        )
+        gain = np.linalg.solve(after[:_FILLED_ANGLES, :_FILLED_ANGLES].T, after[_FILLED_ANGLES:, :_FILLED_ANGLES].T).T
+        nodes.coefficient[0, wavelength] += gain @ (expected - rows @ nodes.coefficient[0, wavelength])
+        nodes.common[0, wavelength] += gain @ (rows @ (others.common[0, wavelength] - nodes.common[0, wavelength]))
         updated = after[_FILLED_ANGLES:, _FILLED_ANGLES:]
         factor[:] = 0.0
         factor[:, : updated.shape[1]] = updated

@@ -20,7 +20,8 @@ from brdfpipe import vocabulary
 from brdfpipe.bsdf.measured import basis as bases
 from brdfpipe.bsdf.measured import coordinates, node_kernel
 from brdfpipe.bsdf.measured.basis import Basis, PSpline
-from brdfpipe.bsdf.measured.node_kernel import ERROR_SCALE, Nodes
+from brdfpipe.bsdf.measured.node_arrays import Covariances, Nodes
+from brdfpipe.bsdf.measured.node_kernel import ERROR_SCALE
 from brdfpipe.geometry import Array
 
 TINY = 1e-30
@@ -89,6 +90,11 @@ class Side:
     def arrays(self) -> Nodes | None:
         """For :mod:`~brdfpipe.bsdf.measured.node_kernel`; None unless a logarithm was fitted with P-splines."""
         return Nodes.of(self, self.basis, MARGIN) if self.logarithmic and isinstance(self.basis, PSpline) else None
+
+    @cached_property
+    def covariances(self) -> Covariances | None:
+        """The same; None also where incidences were measured at some wavelengths alone."""
+        return Covariances.of(self, self.basis) if self.arrays and isinstance(self.basis, PSpline) else None
 
 
 class PathError(NamedTuple):

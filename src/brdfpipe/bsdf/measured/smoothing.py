@@ -20,12 +20,10 @@ from brdfpipe.bsdf.measured.agreement import symmetry_warnings
 from brdfpipe.bsdf.measured.basis import Basis, Keldysh, PSpline
 from brdfpipe.bsdf.measured.coordinates import ABOUT, cell_angles
 from brdfpipe.bsdf.measured.least_squares import Decomposition, StandardForm
+from brdfpipe.bsdf.measured.resolution import RESOLUTION, unresolved
 from brdfpipe.errors import VocabularyError
 from brdfpipe.geometry import Array, check_angles
 from brdfpipe.specular_directions import cos_view
-
-RESOLUTION = "resolution"
-"""Component of the uncertainty of what cells and knots do not resolve."""
 
 MODES = ("pspline", "keldysh", "keldysh-printed")
 
@@ -38,8 +36,6 @@ _ORDERS = 9
 """Number of its polynomials: five, as printed, leave errors of 9 % in a narrow lobe once n − k is even; more scales do not help."""
 _FEW_CELLS = 10, 40
 """Numbers of cells up to which cross-validation tells nothing of the roughness between them, and from which it tells all."""
-_UNRESOLVED = 0.5
-"""Error of the fit over its change with every second knot, at a lobe's edge that neither resolves; of resolved ones it is less, and so is the change."""
 _PASSES = 12
 _CONVERGED = 0.1  # change of the fit, in standard uncertainties, above which another pass follows
 _LARGEST_STEP = 3.0  # of the logarithm in a pass: far from a value the exponential differs from its tangent
@@ -140,9 +136,15 @@ def smooth(
     elif about is None:
         about = _better_coordinates(primary, cells, basis, isotropic)
     forms = [_standard_form(primary, basis, about, at, isotropic) for at in range(len(cells))]
-    coarse = [_standard_form(primary, basis, about, at, isotropic, coarse=True) for at in range(len(cells))] if mode == "pspline" else [None] * len(cells)
+    coarser = [
+        _standard_form(primary, basis, about, at, isotropic, coarse=True) if isinstance(basis, PSpline) else None
+        for at in range(len(cells))
+    ]
     preprint_weights = np.sqrt(_ring_weights(primary["theta_s"].values)) if mode == "keldysh-printed" else None
-    fits = [_fit(form, values, mode, strength, preprint_weights, coarser) for form, values, coarser in zip(forms, cells, coarse, strict=True)]
+    fits = [
+        _fit(form, values, mode, strength, preprint_weights, other)
+        for form, values, other in zip(forms, cells, coarser, strict=True)
+    ]
     link = "log" if mode == "pspline" else "identity"
     attrs = {name: primary.attrs[name] for name in ("history", "warnings") if name in primary.attrs}
     attrs |= {"mode": mode, "link": link, "about": about, "basis": bases.to_json(basis), "side": side}
@@ -309,7 +311,7 @@ def _fit(
     mode: str,
     strength: float | None,
     printed: Array | None,
-    coarse: StandardForm | None,
+    coarser: StandardForm | None,
 ) -> _Fit:
     """Fit one incidence. Exact zeros among bright cells are left out; among dim cells they may be noise, and count."""
     used = np.asarray(np.isfinite(cells.u).any(axis=1))
@@ -327,7 +329,9 @@ def _fit(
     u = np.where(missing, np.inf, u)
     if (np.isfinite(u) != np.isfinite(without_zeros)).any():
         solution = solve(u)
-    factor = solution.problems.covariance_factor(_strength_of_uncertainty(solution) if mode == "pspline" else solution.strength)
+    factor = solution.problems.covariance_factor(
+        _strength_of_uncertainty(solution) if mode == "pspline" else solution.strength
+    )
     weight = _weight(u, printed)
     # Common errors δz change the solution by its covariance times Bᵀ W² δz.
     squared_weight = solution.fitted / u**2 if mode == "pspline" else weight**2
@@ -337,26 +341,16 @@ def _fit(
         gain = factor @ (np.swapaxes(factor, 1, 2) @ (form.rows.T * (weight**2 * _finite(u))[:, None, :]))
         factor = np.swapaxes(np.asarray(np.linalg.qr(np.swapaxes(gain, 1, 2), mode="r")), 1, 2)
     residual = np.where(np.isfinite(u), (value - solution.fitted) / _finite(u, 1.0), np.nan)
-    resolution = None if coarse is None else _change_of_knots(form, coarse, solution, value, u)
+    resolution = None
+    if coarser is not None:
+        working = solution.fitted / u, _working_response(value, solution.fitted)
+        resolution = unresolved(coarser, solution.problems, *working, solution.strength, factor)
     return _Fit(solution, factor, shift, residual, used, int(missing.sum()), resolution)
-
-
-def _change_of_knots(
-    form: StandardForm, coarse: StandardForm, solution: _Solution, value: Array, u: Array
-) -> Array:
-    """Error of the fit (wavelength, terms) between cells, and knots, that do not resolve the BSDF.
-
-    It is a share of what changes with every second knot: nothing, where both resolve it.
-    """
-    mean = solution.fitted
-    problems = Decomposition.of(coarse, mean / u, _working_response(value, mean))
-    changed = problems.solution(solution.strength) @ coarse.to_basis.T
-    return _UNRESOLVED * (changed - solution.coefficients @ form.to_basis.T)
 
 
 def _strength_of_uncertainty(solution: _Solution) -> float:
     """The strength of the covariance: of few cells that of the roughest BSDF, because they cannot tell how rough it is between them."""
-    cells = float(solution.problems.counts.max())
+    cells = float(solution.problems.counts.max(initial=0.0))
     known = float(np.clip((cells - _FEW_CELLS[0]) / (_FEW_CELLS[1] - _FEW_CELLS[0]), 0.0, 1.0))
     roughest = min(solution.strength, float(_STRENGTHS[0]))
     return float(roughest ** (1 - known) * solution.strength**known)
