@@ -32,6 +32,7 @@ FINE = (0, 1, 2, 4)
 _GRAZING_RESISTANCE = (
     4.0  # of the harmonics of the functions of cos θ_o against a size above 0, over that of the functions themselves
 )
+_LOBE = 12.0  # distance from the mirror direction to which lobes are resolved [degree]
 _PLACES = 8  # places in an interval at which splines are compared
 _MOST_POINTS = 20_000  # largest number of points over the sphere: 1.4° apart
 _AZIMUTHAL = 5.0  # weight of curvature along φ over that along ϑ: lobes vary less around the mirror direction
@@ -60,7 +61,7 @@ class PSpline:
     @classmethod
     def default(cls, *, symmetric: bool = True) -> PSpline:
         """Knots 0.15 apart to 12° and 0.27 beyond: a Gaussian lobe of any width changes to its base within Δt ≈ 0.2."""
-        knee, end = np.arcsinh(12 / cls.scale), np.arcsinh(180 / cls.scale)
+        knee, end = np.arcsinh(_LOBE / cls.scale), np.arcsinh(180 / cls.scale)
         edges = [*np.linspace(0, knee, 15), *np.linspace(knee, end, 11)[1:]]
         return cls(tuple(float(edge) for edge in edges), symmetric=symmetric, grazing_harmonics=GRAZING_HARMONICS)
 
@@ -124,14 +125,19 @@ class PSpline:
 
     @cached_property
     def coarser(self) -> Array:
-        """Matrix (terms, fewer) to the coefficients from those of the same functions with every second knot, which these contain."""
+        """Matrix (terms, fewer) to the coefficients from those of the same functions with every second knot in the lobe, which these contain."""
+        from scipy.interpolate import BSpline
         from scipy.linalg import block_diag
 
+        lobe = int(np.searchsorted(self.edges, np.arcsinh(_LOBE / self.scale) + 1e-9))
+        edges = np.concatenate([self.edges[:lobe:2], self.edges[lobe:]])
+        knots = np.concatenate([edges[:1].repeat(DEGREE), edges, edges[-1:].repeat(DEGREE)])
         t = np.linspace(self.edges[0], self.edges[-1], _PLACES * len(self.edges))
+        coarse = BSpline.design_matrix(t, knots, DEGREE).toarray()
         blocks = []
         for k in self.orders.tolist():
-            own, coarse = (self._smooth_at_0(k, self._splines(fine, t).toarray()) for fine in (k in FINE, False))
-            blocks.append(np.linalg.lstsq(own, coarse)[0])
+            own = self._smooth_at_0(k, self._splines(k in FINE, t).toarray())
+            blocks.append(np.linalg.lstsq(own, self._smooth_at_0(k, coarse))[0] if k in FINE else np.eye(own.shape[1]))
         return np.asarray(block_diag(*blocks, np.eye(len(GRAZING) * self.grazing_orders.size)))
 
     def roughness(self, theta: Array, phi: Array) -> Array:

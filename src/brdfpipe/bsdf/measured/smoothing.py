@@ -344,7 +344,7 @@ def _fit(
     resolution = None
     if coarser is not None:
         working = solution.fitted / u, _working_response(value, solution.fitted)
-        resolution = unresolved(coarser, solution.problems, *working, solution.strength, factor)
+        resolution = unresolved(coarser, solution.problems, *working, solution.strength)
     return _Fit(solution, factor, shift, residual, used, int(missing.sum()), resolution)
 
 
