@@ -141,8 +141,11 @@ def scan(
 @_SESSION
 @click.option("--out", type=FOLDER, default=None, help=f"Folder for {EMULATED}  [default: beside RIG.yaml]")
 @click.option("--realtime", is_flag=True, help="Let exposures and moves take real time.")
+@click.option("--dialect", default="usual", show_default=True, help="How the controllers speak: see docs/rig.md.")
 @exit_on_error
-def emulate(description: Path, truth_path: Path, seed: int, session: int, out: Path | None, realtime: bool) -> int:
+def emulate(
+    description: Path, truth_path: Path, seed: int, session: int, out: Path | None, realtime: bool, dialect: str
+) -> int:
     """Emulate a rig on its own serial ports, until Ctrl-C.
 
     Type what an operator does by hand: the entrance in degree, the load of the holder (sample, etalon, target or
@@ -156,7 +159,7 @@ def emulate(description: Path, truth_path: Path, seed: int, session: int, out: P
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     real, clock = Rig.load(description), VirtualClock(realtime=realtime)
     with (
-        EmulatedRig(real, truth(truth_path), seed=seed, session=session, clock=clock) as emulated,
+        EmulatedRig(real, truth(truth_path), seed=seed, session=session, clock=clock, dialect=dialect) as emulated,
         _emulated_description(description, emulated, out or description.parent) as written,
         _camera_serving(written.parent / EMULATED_CAMERA, emulated),
     ):

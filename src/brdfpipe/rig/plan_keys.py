@@ -125,6 +125,7 @@ class PlanKeys(Keys):
         default=["etalon", "sample"],
         min_length=1,
         max_length=3,
+        example=["target", "etalon", "sample"],
     )
     side: Annotated[list[Annotated[str, OneOf(("reflection", "transmission"))]], Items()] = key(
         "sides of the sample, in this order: reflection and transmission",

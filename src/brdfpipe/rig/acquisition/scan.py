@@ -144,6 +144,8 @@ class _Scan:
     _run_start: float | None = None
     _finished: set[Shot] = field(default_factory=set)
     _lamp_readings: list[LampReading] = field(default_factory=list)
+    _first_settings: Any = None
+    """Settings of the devices at the start of the run, as its journal has them."""
     _filters_checked: bool = False
     """Whether a bracket with overlapping frames has been checked for the location of the filters."""
     _mean_darks: dict[float, Array] = field(default_factory=dict)
@@ -176,6 +178,7 @@ class _Scan:
         events = journals.read(self.folder / JOURNAL)
         digests, rejected = journals.recorded_digests(events), journals.rejected_digests(events)
         self._filters_checked = any(event["event"] == "overlap" for event in events)
+        self._first_settings = next((event.get("settings") for event in events if event["event"] == "begun"), None)
         taken_again = rejected if self.plan.bad_frames in ("retake", "stop") else set()
         for shot, result in read_shots(self.folder, self.plan, self.plan.shots):
             if isinstance(result, Frame) and result.digest in taken_again:
@@ -205,6 +208,8 @@ class _Scan:
     def _record_start(self, missing: int) -> None:
         plan, devices = self.plan, self.devices
         self._camera = devices.camera.identify()
+        names = {"monochromator": devices.monochromator.identify(), "wheel": devices.wheel.identify()}
+        settings = {**devices.monochromator.describe(), **devices.wheel.describe()}
         self.journal.append(
             "begun",
             frames=len(plan.shots),
@@ -214,10 +219,22 @@ class _Scan:
             rig_digest=plan.rig.digest,
             operator=self.operator,
             software=version("brdfpipe"),
-            monochromator=devices.monochromator.identify(),
-            wheel=devices.wheel.identify(),
             camera=self._camera,
+            settings=settings,
+            **names,
         )
+        if isinstance(self._first_settings, dict):
+            self._compare_settings(self._first_settings, settings)
+
+    def _compare_settings(self, before: dict[str, Any], now: dict[str, str]) -> None:
+        """Warn of settings of the devices that differ from those at the start of the run."""
+        changed = [name for name in sorted({*before, *now}) if before.get(name) != now.get(name)]
+        if changed:
+            text = ", ".join(
+                f"{name} {now.get(name, 'unknown')}, was {before.get(name, 'unknown')}" for name in changed
+            )
+            advice = "slits and mirrors decide which light passes: set them back, or begin a new run"
+            self._warn(f"the devices are set otherwise than at the start of the run ({text}); {advice}")
 
     # --- exposures
 
