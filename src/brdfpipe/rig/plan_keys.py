@@ -143,7 +143,11 @@ class PlanKeys(Keys):
         details="An entrance without a measurement of the etalon counts as known to 5 %.",
         example=[10, 20, 30, 45, 60],
     )
-
+    etalon_after: bool = key(
+        "whether the etalon is measured again after the sample",
+        default=False,
+        details="The calibration then interpolates between both, and states their difference.",
+    )
     bad_frames: Annotated[str, OneOf(tuple(BAD_FRAMES))] = key(
         "what a scan does with a frame that its checks find bad: "
         + "; ".join(f"{name}: {words}" for name, words in BAD_FRAMES.items()),

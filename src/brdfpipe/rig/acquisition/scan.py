@@ -273,7 +273,8 @@ class _Scan:
             "target": f"mirrors set to the {arrangement.incidence:g} degree entrance",
         }[arrangement.load]
         number = f"arrangement {arrangements.index(arrangement) + 1} of {len(arrangements)} (frame {shot.ordinal})"
-        return f"{number}: {self.plan.sample_id(arrangement)} in the holder, {position}"
+        again = " again" if arrangement.again else ""
+        return f"{number}: {self.plan.sample_id(arrangement)}{again} in the holder, {position}"
 
     def _take(self, shot: Shot) -> None:
         raw, state = self._expose(shot)
