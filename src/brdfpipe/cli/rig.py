@@ -1,4 +1,4 @@
-"""The commands of a rig: ``brdfpipe rig new``, ``doctor``, ``scan`` and ``emulate``.
+"""The commands of a rig: ``brdfpipe rig new``, ``doctor``, ``scan``, ``watch`` and ``emulate``.
 
 Exit codes: 0 done, 1 a device failed or the scan stopped before its end, 2 the command or a description cannot be used, 130 interrupted.
 """
