@@ -174,7 +174,7 @@ def test_pages_of_the_web_cannot_read_the_state_under_another_name(address: tupl
 
 
 def test_a_folder_without_a_run_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="plan.yaml"):
+    with pytest.raises(InputError, match=r"plan\.yaml"):
         server(tmp_path, 0)
     result = CliRunner().invoke(main, ["rig", "watch", str(tmp_path)])
     assert result.exit_code == 2
