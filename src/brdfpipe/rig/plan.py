@@ -118,6 +118,8 @@ class Plan:
     """The file of the plan."""
     bad_frames: str = field(default="retake", compare=False)
     """What a scan does with a bad frame; another choice does not make another plan."""
+    exposures: str = field(default="all", compare=False)
+    """Which frames of a bracket a scan takes; another choice does not make another plan."""
 
     @classmethod
     def load(cls, path: str | Path) -> Plan:
@@ -148,6 +150,7 @@ class Plan:
             etalon_after=content["etalon_after"],
             path=path,
             bad_frames=content["bad_frames"],
+            exposures=content["exposures"],
         )
         _check(description, plan)
         return plan

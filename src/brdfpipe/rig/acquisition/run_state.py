@@ -45,7 +45,7 @@ class RunState:
     finished: int
     """Frames of the plan that are in the folder."""
     frames: int
-    """Frames of the plan."""
+    """Frames of the plan, without those that the scan found not to be needed."""
     seconds_left: float
     """Of the missing frames, and of the arrangements that are still to be made."""
     last: Shot | None
@@ -77,15 +77,17 @@ class WatchedRun:
         """The present state."""
         events = journals.read(self.folder / JOURNAL)
         present = {path.name for path in (self.folder / FRAMES).glob("*.fits")}
-        missing = [shot for shot in self.plan.shots if shot.name not in present]
+        not_needed = journals.left_out(events)
+        wanted = [shot for shot in self.plan.shots if shot.name in present or shot.ordinal not in not_needed]
+        missing = [shot for shot in wanted if shot.name not in present]
         arrangements = {shot.arrangement for shot in missing} - _confirmed(events, self.plan)
         names = {shot.name: shot for shot in self.plan.shots}
         taken = [names[file] for event in events if (file := _file(event)) in names and file in present]
         last_event = str(events[-1]["event"]) if events else ""
         return RunState(
             status=last_event if last_event in _ENDS else "running" if events else "not started",
-            finished=len(self.plan.shots) - len(missing),
-            frames=len(self.plan.shots),
+            finished=len(wanted) - len(missing),
+            frames=len(wanted),
             seconds_left=sum(self._seconds[shot] for shot in missing) + ARRANGEMENT_TIME * len(arrangements),
             last=taken[-1] if taken else None,
             warnings=tuple(_warnings(events))[-_MOST_WARNINGS:],
