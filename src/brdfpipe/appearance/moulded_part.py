@@ -102,9 +102,7 @@ def _bent(normal: Array) -> NDArray[np.bool_]:
     return bent
 
 
-def _on_sphere(
-    normal: Array, side: int, weights_at: Callable[[Array], Array]
-) -> tuple[NDArray[np.intp], Array]:
+def _on_sphere(normal: Array, side: int, weights_at: Callable[[Array], Array]) -> tuple[NDArray[np.intp], Array]:
     """Covered pixels of the sphere about each normal (n, 3), and their weights, (n, nodes²) both."""
     coverage = sphere(side).coverage
     index = np.cumsum(coverage.ravel() > 0).reshape(side, side) - 1

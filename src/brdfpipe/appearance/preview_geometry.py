@@ -180,7 +180,9 @@ def panel(side: int, lines: int = 24) -> Shot:
     position = (pixels.T + 1) / 2 * (lines - 1)
     # Half of the angle between the views.
     step = PANEL_HALF_SIDE / (lines - 1) / PANEL_DISTANCE
-    return Shot(points(pixels), coverage, points(grid), (lines, lines), position, False, step, partial(_finer_panel, side))
+    return Shot(
+        points(pixels), coverage, points(grid), (lines, lines), position, False, step, partial(_finer_panel, side)
+    )
 
 
 def _finer_panel(side: int, step: float) -> Shot:

@@ -26,7 +26,7 @@ from brdfpipe.report.cards import Section, Table
 from brdfpipe.report.formatting import colour
 from brdfpipe.report.material.checks import checks_section, exported_files, exports_table, provenance
 from brdfpipe.report.material.colour import colour_section
-from brdfpipe.report.material.head import key_numbers, picture
+from brdfpipe.report.material.head import key_numbers, looks
 from brdfpipe.report.material.inputs import (
     coat_section,
     effect_pigment_section,
@@ -113,7 +113,7 @@ def material_page(
         choice=choice_words(known),
         patch=colour(appearance["srgb"].values) if appearance is not None and "srgb" in appearance else None,
         viewing=viewing_conditions(appearance),
-        look=picture(known.get("preview")),
+        looks=looks(known.get("preview")),
         verdict=verdict,
         reasons=reasons,
         verdicts=verdicts(known, accepted),

@@ -295,7 +295,7 @@ def png(pixels: NDArray[np.uint8], palette: NDArray[np.uint8] | None = None, *, 
     return data_uri(picture, "png", **transparency)
 
 
-def data_uri(picture: Any, format: Literal["png", "webp"], **options: Any) -> str:
+def data_uri(picture: Any, format: Literal["png", "webp", "jpeg"], **options: Any) -> str:
     """Data URI of a PIL image."""
     stream = BytesIO()
     picture.save(stream, format.upper(), **options)
