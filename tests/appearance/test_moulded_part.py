@@ -65,7 +65,8 @@ def test_walls_have_the_draft_and_the_top_its_crown():
     # The crown leans the walls by at most 5 degree more or less.
     assert np.median(walls) == pytest.approx(np.degrees(np.arctan(part.DRAFT)), abs=2.5)
     top = along_mould[along_mould > 85]
-    assert top.size > 0.3 * along_mould.size and np.ptp(top) > 2
+    assert top.size > 0.3 * along_mould.size
+    assert np.ptp(top) > 2
 
 
 def test_ribs_boss_and_fillets_show_every_slope_between():

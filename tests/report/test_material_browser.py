@@ -34,11 +34,14 @@ def test_the_light_of_the_preview_is_chosen_by_pointer_and_by_keys(browser: Any,
     from selenium.webdriver.common.keys import Keys
 
     opened_page(browser, page)
-    assert set(visible(browser)) == {"three soft boxes and a dim sky, D65"} and len(visible(browser)) == 3
+    assert set(visible(browser)) == {"three soft boxes and a dim sky, D65"}
+    assert len(visible(browser)) == 3
     browser.find_element("css selector", "label[for=light-2]").click()
-    assert len(visible(browser)) == 3 and "one lamp" in visible(browser)[0]
+    assert len(visible(browser)) == 3
+    assert "one lamp" in visible(browser)[0]
     browser.find_element("id", "light-2").send_keys(Keys.ARROW_RIGHT)
-    assert len(visible(browser)) == 3 and "four rows of tubes, FL11" in visible(browser)[0]
+    assert len(visible(browser)) == 3
+    assert "four rows of tubes, FL11" in visible(browser)[0]
     messages, requests = console_and_requests(browser)
     assert messages == []
     assert [address for address in requests if not address.startswith(("file:", "data:"))] == []

@@ -68,11 +68,11 @@ class Table:
     """(nodes, 3) unit normals in the frame of the surface"""
     facet_angle: Array
     """(nodes,) solid angle of each facet [sr]"""
-    near: Array
+    near: Floats
     """(views, azimuths, nodes, channels) contributions of facets"""
     directions: Array
     """(nodes, 3)"""
-    far: Array
+    far: Floats
     """(views, azimuths, nodes, channels) contributions of directions"""
     mirror: Array
     """(views, azimuths, channels) share of the light that a smooth surface mirrors"""

@@ -662,7 +662,8 @@ def test_the_pictures_of_a_material_are_near_the_top_of_its_page_in_every_light(
         "Spot lamp, A",
         "Rows of tubes, FL11",
     ]
-    assert page.count('type="radio"') == 3 and page.count(" checked>") == 1
+    assert page.count('type="radio"') == 3
+    assert page.count(" checked>") == 1
     shown = [
         np.asarray(Image.open(io.BytesIO(base64.b64decode(data))))
         for data in re.findall(r'src="data:image/jpeg;base64,([^"]+)"', page)

@@ -110,7 +110,7 @@ def _goniometric(bsdf: xr.Dataset, above: Sequence[_Cut], below: Sequence[_Cut])
         _lines(below),
         quantity,
     )
-    note = f"Plane of incidence, {bsdf_sections.wavelength_words(bsdf)}. Triangles mark the sources."
+    note = f"Plane of incidence, {bsdf_sections.wavelength_words(bsdf)}. Triangles mark the sources. The data are those of the Cartesian chart."
     note += _unmeasured_note(bsdf, bsdf_sections.planes(bsdf)[0], above)
     return [Figure(f"{quantity}, goniometric", svg, legend(marks), note)]
 

@@ -16,6 +16,8 @@ import numpy as np
 from markupsafe import Markup, escape
 from numpy.typing import ArrayLike, NDArray
 
+from brdfpipe.report.plots.figure_data import metadata
+
 Array = NDArray[np.float64]
 
 Pattern = Literal["line", "dash", "dots"]
@@ -145,7 +147,7 @@ def chart(description: str, x: Axis, y: Axis, marks: Sequence[Mark], *, height: 
     parts += [text(column, top + tall + (27 if strip else 17), name, "middle") for column, name in x_ticks]
     parts.append(text(left + width / 2, height - 8, x.label, "middle", "t"))
     parts.append(text(4, 15, y.label, "start", "t"))
-    return frame(description, height, parts)
+    return frame(description, height, [*parts, metadata(x.label, y.label, marks)])
 
 
 def _mark(mark: Mark, x: Axis, y: Axis, width: float, tall: float) -> str:
@@ -257,7 +259,7 @@ def rose(description: str, label: str, azimuth: ArrayLike, value: ArrayLike, axi
         label_x, label_y = place(axis + 15, scale * ring)
         parts.append(text(float(label_x), float(label_y) + 4, name, "middle", "h"))
     parts.append(text(4, 15, label, "start", "t"))
-    return frame(description, height, parts)
+    return frame(description, height, [*parts, metadata("azimuth, degree", label, [Line(azimuth, value)])])
 
 
 def frame(description: str, height: float, parts: Sequence[str]) -> Markup:
