@@ -47,7 +47,9 @@ def key_numbers(datasets: Mapping[str, xr.Dataset]) -> Iterator[KeyNumber]:
                 *(_value_and_unit(one, value, one.uncertainty(datasets)) for one, value in values.items()), strict=True
             )
             hint = next(iter(values)).hint
-            yield KeyNumber(title, "  ".join(texts), units[0], hint if isinstance(hint, str) else hint(datasets))
+            # A narrow page breaks lines between values only.
+            values_alone = (text.replace(" ", "\N{NO-BREAK SPACE}") for text in texts)
+            yield KeyNumber(title, "  ".join(values_alone), units[0], hint if isinstance(hint, str) else hint(datasets))
 
 
 def _value_and_unit(quantity: AppearanceQuantity, value: float, u: float) -> tuple[str, str]:

@@ -23,7 +23,8 @@ def metadata(x: str, y: str, marks: Sequence[Mark]) -> str:
     A mark is ``[name, x, y]``, an area ``[name, x, lower edge, upper edge]``, points with error bars ``[name, x, y, half length]``; x is null
     where it is that of the mark before. Numbers have four significant digits, x five. Undefined values are left out. Empty without any.
     """
-    curves, before, fourth = [], None, ""
+    curves: list[list[object]] = []
+    before, fourth = None, ""
     for mark in marks:
         columns = list(_columns(mark))
         numbers = np.stack(np.broadcast_arrays(*columns), axis=-1)

@@ -101,6 +101,9 @@ class Band:
 
 Mark = Line | Points | Band
 
+_LABEL_WIDTH = 44
+"""Width of the longest power of ten, on a narrow page, in figure units."""
+
 
 @dataclass(frozen=True)
 class Figure:
@@ -222,7 +225,8 @@ def polar(
     parts += [curve(mark, -1) for mark in below]
     parts.append(f'<path class="a" d="M{centre_x - radius:g} {centre_y:g}h{2 * radius:g}"/>')
     skip = max(1, round((high - low) / 4))
-    for exponent in [*range(high - skip if below else high, low, -skip), low]:
+    labelled = [e for e in range(high - skip if below else high, low, -skip) if rings[e] > _LABEL_WIDTH]
+    for exponent in [*labelled, low]:
         label_style = "h" if below else ""
         parts.append(text(centre_x + rings[exponent], centre_y + 16, power_of_ten(exponent), "middle", label_style))
     if below:

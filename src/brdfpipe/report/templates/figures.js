@@ -26,5 +26,5 @@ for (const figure of document.querySelectorAll("figure.card")) {
     link.click();
     setTimeout(() => URL.revokeObjectURL(link.href), 1000);
   });
-  caption.append(button);
+  caption.prepend(button);
 }
