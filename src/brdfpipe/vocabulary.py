@@ -479,6 +479,7 @@ QUANTITIES: Mapping[str, Quantity] = {
     "luminous_reflectance": Quantity("1", "total reflectance at 8 degree, weighted with V(λ) and D65", 0, missing=True),
     "flop_index": Quantity("1", "flop index", missing=True),
     "picture": Quantity("1", "sRGB picture of a material", 0, 255),
+    "picture_in": Quantity("1", "sRGB picture of a material in a further light", 0, 255),
     "srgb": Quantity("1", "sRGB preview colour", 0, 1, missing=True),
     # Plan of a scene
     "expected_error": Quantity(
@@ -758,7 +759,15 @@ KINDS: Mapping[str, Kind] = {
         },
     ),
     "export": Kind({}, attributes=("format", "side", "files", "records")),
-    "preview": Kind({"picture": [("row", "column", "channel")]}, attributes=("illuminant", "light", "white_level")),
+    "preview": Kind(
+        {"picture": [("row", "column", "channel")]},
+        optional={
+            "picture_in": [("lighting", "row", "column", "channel")],
+            "light_of": [("lighting",)],
+            "illuminant_of": [("lighting",)],
+        },
+        attributes=("illuminant", "light", "white_level"),
+    ),
     "checks": Kind(
         {
             "reciprocity_residual": SCALAR,
