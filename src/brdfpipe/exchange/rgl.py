@@ -48,6 +48,8 @@ _TOWARDS_GRAZING = 1.5
 """Power by which steps between incidences shrink towards grazing, where Fresnel's reflectance and masking change fastest."""
 _FACETS = (32, 96)
 """Nodes of the facet densities along azimuth and polar angle."""
+_AZIMUTHS_WITH_LAY = 128
+"""Azimuths with a lay: 32 made the tail along it darker, 4 % of Gaussian slopes and 12 % of measured ones, whatever the number of values."""
 _READ_TURNS = 24
 """Intervals of the azimuth of incidence at which a file of a surface with a lay is read."""
 _EVEN_SHARE = 1e-5
@@ -135,7 +137,8 @@ def _bilinear(values: Array, slices: Slices, x: Array, y: Array) -> Array:
 def _facets(bsdf: xr.Dataset) -> tuple[Array, Array, Array]:
     """Facet density on its grid, from the light that returns to where it came from; its polar angles and azimuths [radian]."""
     model = representation(bsdf)
-    x, y = np.linspace(0, 1, _FACETS[1]), np.linspace(0, 1, _FACETS[0] + 1)
+    azimuths = _FACETS[0] if model.isotropic else _AZIMUTHS_WITH_LAY
+    x, y = np.linspace(0, 1, _FACETS[1]), np.linspace(0, 1, azimuths + 1)
     polar, around = np.minimum(np.pi / 2 * x**2, np.radians(89.0)), (2 * y - 1) * np.pi
     theta, phi = np.meshgrid(np.degrees(polar), np.degrees(around))
     azimuth = np.zeros_like(phi) if model.isotropic else phi
