@@ -389,6 +389,25 @@ QUANTITIES: Mapping[str, Quantity] = {
         "1", "reflectance by which the coherent part is reduced, so that no light is gained", 0
     ),
     "energy_residual": Quantity("1", "share of the light that coherent part and halo miss of Fresnel's reflectance", 0),
+    # Texture beside the BRDF
+    "texture_frequency": Quantity("um-1", "spatial frequency of a ring in the power spectrum of a texture", 0),
+    "sample_psd": Quantity("um4", "power spectral density of the heights of a scan on the pixels of its texture", 0),
+    "tile_psd": Quantity("um4", "power spectral density of the heights of a texture", 0),
+    "unresolved_share": Quantity(
+        "1", "share of the mean square slope that the pixels of a texture do not resolve", 0, 1
+    ),
+    "split_difference": Quantity(
+        "1", "share of the facets at other slopes when those of a texture and of the rest are put together", 0, 1
+    ),
+    "spectrum_difference": Quantity(
+        "1",
+        "largest relative difference of the power spectra of texture and sample up to half the Nyquist frequency",
+        0,
+    ),
+    "value_difference": Quantity(
+        "1", "largest difference of the cumulated distributions of values, Kolmogorov's", 0, 1
+    ),
+    "slope_difference": Quantity("1", "the same of the differences of neighbouring pixels", 0, 1),
     # Uncertain inputs of a prediction
     "change_theta": Quantity("degree", "incidence at which the change of an albedo is known", 0, 90),
     "change_phase": Quantity("1", "phase variance at which the change of a halo is known", 0),
@@ -754,6 +773,18 @@ KINDS: Mapping[str, Kind] = {
         },
     ),
     "export": Kind({}, attributes=("format", "side", "files", "records")),
+    "texture": Kind(
+        {},
+        optional={
+            "height": [("y", "x")],
+            **{key: [("texture_frequency",)] for key in ("sample_psd", "tile_psd")},
+            **dict.fromkeys(
+                ("unresolved_share", "split_difference", "spectrum_difference", "value_difference", "slope_difference"),
+                SCALAR,
+            ),
+        },
+        attributes=("source", "pixel", "method", "seed"),
+    ),
     "preview": Kind({"picture": [("row", "column", "channel")]}, attributes=("illuminant", "light", "white_level")),
     "checks": Kind(
         {

@@ -889,6 +889,32 @@ class TableFile(Keys):
     )
 
 
+# --- texture
+
+
+class ScanTexture(Keys):
+    """The grain of a measured surface as a tileable map."""
+
+    pixel: float = key(
+        "side of a pixel of the map, from the pitch of the scan to a 32nd of its shorter side",
+        required=True,
+        unit="µm",
+        gt=0,
+        le=10_000,
+        example=10,
+        details="A scene with a `viewing_distance` makes it coarser.",
+    )
+    size: Annotated[int, WHOLE] = key("pixels along either side of the map", default=512, ge=32, le=4096)
+    method: Annotated[str, OneOf(("spectrum", "structure"))] = key(
+        "how the map is made: spectrum (power spectrum and heights, random phases) or structure (pieces of the scan; keeps cells and ridges)",
+        default="spectrum",
+    )
+    seed: Annotated[int, WHOLE] = key("the same seed gives the same map", default=0, ge=0, le=1_000_000)
+    interpolation: Annotated[str, OneOf(("bilinear", "nearest"))] = key(
+        "how the renderer interpolates between pixels: bilinear or nearest", default="bilinear"
+    )
+
+
 # --- rig
 
 
@@ -1153,6 +1179,10 @@ class Material(Keys):
         "a table of the BSDF, from another program or instrument {file, format, quantity}",
         details="It needs nothing else. See [tables of other programs](#tables-of-other-programs).",
     )
+    texture: ScanTexture = key(
+        "visible structure beside the BRDF, for scenes that ask for `texture`: the grain of the scan as a tileable map {pixel, size, method, seed, interpolation}",
+        details="See [texture](texture.md).",
+    )
     rig: RigRoute = key(
         "a measurement with a camera rig {run, calibration, …}, or one that the emulator makes {plan, emulate, calibration, …}",
         details="See [the camera rig](rig.md#from-a-run-to-a-bsdf).",
@@ -1276,6 +1306,25 @@ class Material(Keys):
             if found:
                 raise InputError("", problem, where="model.truth", found="'use'", accepted=accepted)
         return self
+
+    @model_validator(mode="after")
+    def _check_texture(self) -> Self:
+        """Refuse the texture of a scan where there is no scan, or where the BRDF is not that of its facets."""
+        if self.texture is None:
+            return self
+        other = next((name for name in ("slab", "coat", "rig", "multiangle") if getattr(self, name) is not None), None)
+        measured = isinstance(self.surface, MeasuredSurface) and not self.surface.is_line
+        if measured and other is None:
+            return self
+        problem = "the grain of a scan needs a height map, of which the BRDF is predicted"
+        found = f"`{other}`" if measured else "no `surface.file` with a map"
+        raise InputError(
+            "",
+            problem,
+            where="texture",
+            found=found,
+            accepted="a measured areal `surface` on an opaque body, or no `texture`",
+        )
 
     @property
     def two_faces(self) -> tuple[str, str, Any] | None:

@@ -80,19 +80,29 @@ def synthesise(sample: Array, size: int, *, method: str = METHODS[0], seed: int 
 
 def likeness(sample: Array, tile: Array) -> Likeness:
     """What remains between a sample (rows, columns) and a periodic map of the same pixel."""
-    frequency = _frequency(tile.shape).ravel()
-    order = np.argsort(frequency, kind="stable")
-    order = order[(frequency[order] > 1.5 / min(*sample.shape, *tile.shape)) & (frequency[order] <= 0.25)]
-    parts = np.array_split(order, max(1, order.size // _LEAST_MODES))
-    # A periodic map has no edges and needs no window.
-    powers = windowed_power(sample, tile.shape), np.abs(np.fft.fft2(tile)) ** 2 / tile.size
-    rings = np.array([[power.flat[part].mean() for part in parts] for power in powers])
-    rings = rings[:, rings[0] >= _LEAST_POWER * rings[0].max()]
+    _, *rings = ring_spectra(sample, tile, 0.25)
+    compared = rings[0] >= _LEAST_POWER * rings[0].max()
     slopes = [
         _kolmogorov(np.diff(sample, axis=axis).ravel(), (np.roll(tile, -1, axis) - tile).ravel()) for axis in (0, 1)
     ]
     heights = _kolmogorov(sample.ravel() - sample.mean(), tile.ravel() - tile.mean())
-    return Likeness(float(np.abs(rings[1] / rings[0] - 1).max()), heights, max(slopes))
+    return Likeness(float(np.abs(rings[1][compared] / rings[0][compared] - 1).max()), heights, max(slopes))
+
+
+def ring_spectra(sample: Array, tile: Array, highest: float = 0.5) -> tuple[Array, Array, Array]:
+    """Mean frequency [cycles per pixel] of rings of frequencies up to the highest, and the power of a sample and of a periodic map of the same pixel there."""
+    frequency = _frequency(tile.shape).ravel()
+    order = np.argsort(frequency, kind="stable")
+    order = order[(frequency[order] > 1.5 / min(*sample.shape, *tile.shape)) & (frequency[order] <= highest)]
+    parts = np.array_split(order, max(1, order.size // _LEAST_MODES))
+    # A periodic map has no edges and needs no window.
+    averaged = (
+        frequency,
+        windowed_power(sample, tile.shape).ravel(),
+        (np.abs(np.fft.fft2(tile)) ** 2 / tile.size).ravel(),
+    )
+    of_tile, of_sample, at = (np.array([one[part].mean() for part in parts]) for one in reversed(averaged))
+    return at, of_sample, of_tile
 
 
 def windowed_power(height: Array, shape: tuple[int, ...]) -> Array:
