@@ -95,6 +95,13 @@ use rule stage_template as texture with:
         texture="{scene}{material}/texture.nc",
 
 
+use rule stage_template as picture_texture with:
+    input:
+        pictures=pipeline.raw_files("texture"),
+    output:
+        texture="{scene}{material}/picture_texture.nc",
+
+
 use rule stage_template as unresolved with:
     input:
         **results_of("texture", "index", "spectrum", "bsdf"),

@@ -53,6 +53,9 @@ def exports_table(datasets: Mapping[str, xr.Dataset], name: str) -> Table | None
                 "",
             )
         )
+    if "picture_texture" in datasets:
+        listed = ", ".join(_picture_files(datasets["picture_texture"], name))
+        rows.append((listed, "reflection", "light over its mean, by geometry", "", ""))
     if "unresolved" in datasets and (files := json_object(datasets["unresolved"].attrs.get("files"))):
         rows.append((", ".join(files), "reflection", "materials of renderers with these maps", "", ""))
     if "readings" in datasets:
@@ -67,8 +70,15 @@ def exported_files(datasets: Mapping[str, xr.Dataset], name: str) -> list[str]:
     files = [file for dataset in datasets.values() for file in json_object(dataset.attrs.get("files"))]
     named = {"lambert_gauss": "lambert_gauss.csv", "readings": "readings.csv"}
     files += [f"{name}{end}" for end in MAP_FILES if "texture" in datasets]
+    if "picture_texture" in datasets:
+        files += _picture_files(datasets["picture_texture"], name)
     files += [f"{name}.{suffix}" for stage, suffix in named.items() if stage in datasets]
     return [f"exports/{file}" for file in files]
+
+
+def _picture_files(texture: xr.Dataset, name: str) -> list[str]:
+    numbers = range(1, texture.sizes["geometry"] + 1)
+    return [*(f"{name}.texture-{number}.{end}" for number in numbers for end in ("png", "exr")), f"{name}.texture.json"]
 
 
 def _exported(dataset: xr.Dataset) -> tuple[str, ...]:
