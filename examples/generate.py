@@ -101,9 +101,6 @@ texture:
   size: 256
   method: structure
   seed: 1
-
-# Materials of renderers with the map; a fit of one GGX lobe may err more than the formats' limits, and is then refused.
-exports: [rgl]
 """,
     )
 

@@ -52,7 +52,7 @@ def test_the_examples_stay_small() -> None:
     assert sum(map(len, contents(EXAMPLES).values())) < 700_000
 
 
-@pytest.mark.parametrize("name", (*NAMES, *TEXTURES))
+@pytest.mark.parametrize("name", [*NAMES, *TEXTURES])
 def test_every_example_says_that_it_is_synthetic(name: str) -> None:
     assert "synthetic" in description(name)["description"]
 
