@@ -12,7 +12,7 @@ from PIL import Image
 from brdfpipe import facets, optics, vocabulary
 from brdfpipe.appearance import preview_geometry as shots
 from brdfpipe.appearance.lights import WHITE_LEVEL, LightError
-from brdfpipe.appearance.preview import channels_of, png, preview, tone
+from brdfpipe.appearance.preview import OTHER_LIGHTS, channels_of, png, preview, tone
 from brdfpipe.bsdf import lambert_gauss, microfacet, slab
 from brdfpipe.spectra import colorimetry
 from brdfpipe.spectra.recovery import recover
@@ -73,7 +73,7 @@ def test_the_same_material_gives_the_same_bytes():
 def test_the_file_is_a_small_png_of_the_picture():
     picture = preview(samples.beckmann_bsdf(0.02))
     content = png(picture)
-    assert len(content) < 60_000
+    assert len(content) < 80_000
     with Image.open(BytesIO(content)) as stored:
         assert (np.asarray(stored) == picture["picture"].values).all()
 
@@ -81,8 +81,24 @@ def test_the_file_is_a_small_png_of_the_picture():
 def test_the_picture_is_valid_in_the_vocabulary():
     picture = preview(lambert_gauss.lambertian(samples.spectrum(0.5)), side=32, light="overcast", illuminant="d50")
     vocabulary.validate(picture, "preview")
-    assert picture["picture"].shape == (32, 64, 3)
+    assert picture["picture"].shape == (32, 96, 3)
     assert (picture.attrs["illuminant"], picture.attrs["light"]) == ("D50", "overcast")
+
+
+def test_further_lights_are_what_each_gives_as_the_light_of_the_scene():
+    bsdf = samples.beckmann_bsdf(0.1, reflectance=0.3)
+    picture = preview(bsdf, side=48)
+    assert [*zip(picture["light_of"].values, picture["illuminant_of"].values, strict=True)] == [*OTHER_LIGHTS]
+    for k, other in enumerate(OTHER_LIGHTS):
+        alone = preview(bsdf, side=48, light=other.light, illuminant=other.illuminant, others=())
+        assert "picture_in" not in alone
+        difference = picture["picture_in"].values[k].astype(int) - alone["picture"].values
+        assert np.abs(difference).max() <= 1
+
+
+def test_a_further_light_that_is_that_of_the_scene_is_not_repeated():
+    picture = preview(black(0.2), side=32, light="spot", illuminant="A")
+    assert picture["light_of"].values.tolist() == ["tubes"]
 
 
 def test_an_unknown_light_is_refused():
