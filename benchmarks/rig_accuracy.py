@@ -71,7 +71,7 @@ TARGET = Target(
     radius=0.3,
 )
 
-DAYS = {"glare": 0, "no glare": 10, "repeated": 20, "range": 30, "through": 40}
+DAYS = {"glare": 0, "no glare": 10, "repeated": 20, "range": 30, "through": 40, "edge": 50, "lay": 60}
 """First session of each kind of measurement."""
 
 ETALON = 100
@@ -110,7 +110,10 @@ INDEX, SLOPE = 1.5, 0.08
 def _colour() -> xr.Dataset:
     """Total reflectance of the plastic of facets: a blue one."""
     wavelength = np.arange(380.0, 781.0, 10.0)
-    total = 0.12 + 0.35 / (1 + np.exp((wavelength - 560) / 40))
+    return _total_reflectance(wavelength, 0.12 + 0.35 / (1 + np.exp((wavelength - 560) / 40)))
+
+
+def _total_reflectance(wavelength: Array, total: Array) -> xr.Dataset:
     attrs = {"geometry": "sci", "theta_i": 8.0, "method": "synthetic", "residual_delta_e": 0.0}
     spectrum = xr.Dataset({"total_reflectance": ("wavelength", total)}, {"wavelength": wavelength}, attrs)
     return vocabulary.label(spectrum, "spectrum")
@@ -130,12 +133,28 @@ TRUTHS: Mapping[str, Callable[[], xr.Dataset]] = {
 }
 """Samples of the acceptance; angles of the first two are σ, of the third full widths at half maximum (:func:`report` gives the reason)."""
 
+EDGE = "plastic of facets with long tails, red edge at 592 nm"
+LAY = "brushed plastic, lay in the plane of incidence"
+EDGE_WAVELENGTHS = (500.0, 550.0, 575.0, 600.0, 650.0)
+BETWEEN_WAVELENGTHS = (525.0, 562.0, 588.0, 592.0, 625.0)
+
+
+def _edge() -> xr.Dataset:
+    """Total reflectance with an edge, as of a pigment."""
+    wavelength = np.arange(380.0, 781.0, 4.0)
+    return _total_reflectance(wavelength, 0.08 + 0.45 / (1 + np.exp((592 - wavelength) / 6)))
+
+
 RANGE = "2500 sr⁻¹, 1.3°, on 0.01 sr⁻¹"
 THROUGH = "frosted glass, from behind"
 
 SAMPLES: Mapping[str, Callable[[], xr.Dataset]] = {
     **TRUTHS,
     RANGE: lambda: _lobes(0.01, (2499.99, 1.3)),
+    EDGE: lambda: microfacet.build(analytic("ggx", 0.12), index=INDEX, spectrum=_edge(), multiple_scattering="none"),
+    LAY: lambda: microfacet.build(
+        analytic("beckmann", a_x=0.1, a_y=0.3), index=INDEX, spectrum=_colour(), multiple_scattering="none"
+    ),
     THROUGH: lambda: slab.build(analytic("ggx", 0.2), flat(), index=INDEX, internal_transmittance=0.95),
 }
 """All samples."""
@@ -336,9 +355,16 @@ REGIONS: Mapping[str, Callable[[str], Directions]] = {
 def departures(bsdf: xr.Dataset, truth: xr.Dataset, side: str = "reflection") -> dict[str, Departure]:
     """Errors of a completed BSDF by region."""
     errors = {}
-    for region, directions in REGIONS.items():
+    own = bsdf["wavelength"].values
+    places = [(region, directions, own) for region, directions in REGIONS.items()]
+    if own.size > len(WAVELENGTHS):
+        places += [
+            (f"between wavelengths, {region}", REGIONS[region], np.array(BETWEEN_WAVELENGTHS))
+            for region in list(REGIONS)[:2]
+        ]
+    for region, directions, wavelength in places:
         theta_i, theta_o, phi_o = directions(side)
-        at = theta_i, np.zeros_like(theta_i), theta_o, phi_o, bsdf["wavelength"].values
+        at = theta_i, np.zeros_like(theta_i), theta_o, phi_o, wavelength
         value, true = (BSDFAccessor(dataset).evaluate(*at).values for dataset in (bsdf, truth))
         u = BSDFAccessor(bsdf).uncertainty(*at).values
         errors[region] = Departure((value / true - 1)[true >= DARKEST], ((value - true) / u).ravel())
@@ -402,14 +428,14 @@ def jobs() -> Iterator[Job]:
                 yield Job(kind, truth, seed, DAYS[kind] + day)
     for day in range(len(SEEDS)):
         yield Job("repeated", list(TRUTHS)[1], SEEDS[0], DAYS["repeated"] + day)
-    for kind, sample in (("range", RANGE), ("through", THROUGH)):
+    for kind, sample in (("range", RANGE), ("through", THROUGH), ("edge", EDGE), ("lay", LAY)):
         for seed in SEEDS:
             yield Job(kind, sample, seed, DAYS[kind])
 
 
 def outcome(job: Job) -> Outcome:
     """Make one measurement."""
-    plan, truth = plan_of(), SAMPLES[job.truth]()
+    plan, truth = plan_of(EDGE_WAVELENGTHS if job.kind == "edge" else WAVELENGTHS), SAMPLES[job.truth]()
     if job.kind == "range":
         plan = replace(plan, bracket=(Step(0.1, plan.bracket[0].position), *plan.bracket[1:]))
     if job.kind == "through":
@@ -419,9 +445,9 @@ def outcome(job: Job) -> Outcome:
     values = compared(sides[-1], truth)
     brdf = values.primary["brdf"].values
     result = Outcome(job, values.error, values.z, values.apart, values.of_disc, values.truth, brdf)
-    if job.kind not in ("glare", "through"):
+    if job.kind not in ("glare", "through", "edge", "lay"):
         return result
-    bsdf = completion.complete(*(smoothing.smooth(side) for side in sides))
+    bsdf = completion.complete(*(smoothing.smooth(side, isotropic=job.kind != "lay") for side in sides))
     result = result._replace(completed=departures(bsdf, truth, plan.side[-1]))
     if job.kind == "glare":
         result = result._replace(gloss=glosses(bsdf, truth))
@@ -605,9 +631,11 @@ def _completed_section(outcomes: Sequence[Outcome]) -> Iterator[str]:
     )
     yield ""
     rows = list(_by_region(outcomes))
-    yield from _table(("sample", "region", "error 50 / 95", "rms of z", "95th percentile of \\|z\\|"), iter(rows))
+    yield from _table(
+        ("sample", "region", "error 50 / 95", "rms of z", "95th percentile of \\|z\\|", "largest \\|z\\|"), iter(rows)
+    )
     yield ""
-    beyond = [f"{sample}: {region} ({z})" for sample, region, _, z, _ in rows if float(z) > Z_RMS[1]]
+    beyond = [f"{sample}: {region} ({z})" for sample, region, _, z, *_ in rows if float(z) > Z_RMS[1]]
     yield f"Errors exceed the stated uncertainty, with an rms of z above {Z_RMS[1]}: {'; '.join(beyond) or 'nowhere'}."
     yield ""
     yield (
@@ -622,9 +650,16 @@ def _completed_section(outcomes: Sequence[Outcome]) -> Iterator[str]:
 def _by_region(outcomes: Sequence[Outcome]) -> Iterator[tuple[str, ...]]:
     for sample in SAMPLES:
         own = [result.completed for result in outcomes if result.job.truth == sample and result.completed is not None]
-        for region in REGIONS if own else ():
+        for region in own[0] if own else ():
             error, z = (np.concatenate(parts) for parts in zip(*(regions[region] for regions in own), strict=True))
-            yield sample, region, _percentiles(error), f"{_rms(z):.2f}", f"{np.percentile(np.abs(z), 95):.2f}"
+            yield (
+                sample,
+                region,
+                _percentiles(error),
+                f"{_rms(z):.2f}",
+                f"{np.percentile(np.abs(z), 95):.2f}",
+                f"{np.abs(z).max():.1f}",
+            )
 
 
 def _by_gloss(outcomes: Sequence[Outcome]) -> Iterator[tuple[str, ...]]:
@@ -683,7 +718,7 @@ def _table(titles: Sequence[str], rows: Iterator[Sequence[str]]) -> Iterator[str
 
 def _by_rig(outcomes: Sequence[Outcome]) -> Iterator[tuple[str, ...]]:
     for result in outcomes:
-        if result.job.kind in ("glare", "no glare", "through"):
+        if result.job.kind in ("glare", "no glare", "through", "edge", "lay"):
             spread = [
                 _percentiles(result.error[(result.of_disc == disc) & (result.truth >= DARKEST)])
                 for disc in (False, True)

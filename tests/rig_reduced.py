@@ -8,6 +8,7 @@ import numpy as np
 import xarray as xr
 
 from brdfpipe import specular_directions, vocabulary
+from brdfpipe.rig.reduction.budget import BY_NAME
 from brdfpipe.rig.reduction.calibration import calibrate
 from brdfpipe.rig.reduction.certificate import Certificate
 from brdfpipe.rig.reduction.primary import apply_profile
@@ -16,7 +17,7 @@ from brdfpipe.rig.reduction.relative_light import COMPONENTS
 WAVELENGTHS = np.array([430.0, 470.0, 510.0, 550.0, 650.0])
 LAMP = np.array([5e4, 1.6e5, 1.2e5, 1.25e5, 1.1e5])
 PATHS = {0.0: 0.9, 10.0: 1.0, 30.0: 1.08, 45.0: 1.03, 60.0: 0.95}
-NAMES = ("noise", "repeat", "reference", "calibration", "certificate", "nd", "glare", "geometry", "path")
+NAMES = tuple(BY_NAME)
 
 
 def certificate(u: float = 0.005, until: date = date(2030, 1, 1)) -> Certificate:

@@ -72,6 +72,7 @@ QUANTITIES: Mapping[str, Quantity] = {
     "second_azimuth": Quantity("1", "azimuth from the forward plane, scaled to the width of the lobe", 0, 1),
     "theta_s": Quantity("degree", "angle of the outgoing direction from the mirror direction", 0, 180),
     "phi_s": Quantity("degree", "azimuth about the mirror direction, 0 towards the normal", -720, 720),
+    "direction_u": Quantity("degree", "standard uncertainty of the direction that a fibre sees", 0, 180),
     "theta_h": Quantity("degree", "polar angle of the half vector, from the normal", 0, 90),
     "phi_h": Quantity("degree", "azimuth of the half vector", -720, 720),
     "theta_d": Quantity("degree", "angle of incidence from the half vector", 0, 90),

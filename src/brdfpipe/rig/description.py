@@ -26,6 +26,12 @@ SENSOR_KEYS = ("width", "height", "gain", "read_noise", "linear_to", "bits")
 COLUMNS = ("name", "theta_s", "phi_s", "x", "y")
 """Columns of the table of fibres: direction about the mirror direction [degree], end on the screen [mm]."""
 
+DIRECTION_COLUMN = "u"
+"""Optional column: standard uncertainty of the direction [degree]."""
+
+DIRECTION_U = 0.1
+"""Where it is not stated."""
+
 MAX_FIBRES = 10_000
 
 _SCREEN_FIELDS = {"disc": "disc_centre", "reference": "reference_centre"}
@@ -45,6 +51,8 @@ class SerialSettings:
     motion_timeout: float = Monochromator.default_of("motion_timeout")
     grating: int = Monochromator.default_of("grating")
     speed: float = Monochromator.default_of("speed")
+    wavelength_u: float = Monochromator.default_of("wavelength_u")
+    polarisation: float = Monochromator.default_of("polarisation")
     positions: int = Wheel.default_of("positions")
 
 
@@ -63,6 +71,7 @@ class CameraSettings:
     read_noise: float = Camera.default_of("read_noise")
     linear_to: float = Camera.default_of("linear_to")
     bits: int = Camera.default_of("bits")
+    linearity_u: float = Camera.default_of("linearity_u")
     timeout: float = Camera.default_of("timeout")
 
     @property
@@ -90,6 +99,8 @@ class Fibre:
     phi_s: float
     x: float
     y: float
+    u: float = DIRECTION_U
+    """Root mean square angle of the true direction from the described one [degree]."""
 
 
 @dataclass(frozen=True)
@@ -192,7 +203,8 @@ class Rig:
 
 
 def read_fibres(path: Path) -> tuple[Fibre, ...]:
-    """Read the table of the fibres: CSV with the columns :data:`COLUMNS`, in any order; lines with # are comments.
+    """Read the table of the fibres: CSV with the columns :data:`COLUMNS` and maybe :data:`DIRECTION_COLUMN`, in any order; lines with # are
+    comments.
 
     Raises InputError: naming the file, the line, what was found and what is accepted.
     """
@@ -201,8 +213,8 @@ def read_fibres(path: Path) -> tuple[Fibre, ...]:
         accepted = f"a line of column titles ({', '.join(COLUMNS)}) and one line per fibre"
         raise InputError(path, "empty", accepted=accepted)
     where, titles = rows.pop(0)
-    if sorted(titles) != sorted(COLUMNS):
-        found, accepted = ", ".join(titles), ", ".join(COLUMNS)
+    if sorted(titles) not in (sorted(COLUMNS), sorted((*COLUMNS, DIRECTION_COLUMN))):
+        found, accepted = ", ".join(titles), f"{', '.join(COLUMNS)} and maybe {DIRECTION_COLUMN}"
         raise InputError(path, "unknown or missing column titles", where=where, found=found, accepted=accepted)
     if not 1 <= len(rows) <= MAX_FIBRES:
         raise InputError(path, "wrong number of fibres", found=len(rows), accepted=f"1 to {MAX_FIBRES}")
@@ -229,7 +241,9 @@ def _fibre(path: Path, where: str, titles: list[str], cells: list[str]) -> Fibre
     if len(cells) != len(titles):
         raise InputError(path, "wrong number of cells", where=where, found=len(cells), accepted=str(len(titles)))
     row = dict(zip(titles, cells, strict=True))
-    values = {title: _number(path, where, title, row[title]) for title in COLUMNS[1:]}
+    values = {title: _number(path, where, title, row[title]) for title in titles if title != "name"}
+    if not 0 <= values.get(DIRECTION_COLUMN, 0.0) <= 10:
+        raise InputError(path, "u out of range", where=where, found=row[DIRECTION_COLUMN], accepted="0 to 10 degree")
     if not 0 <= values["theta_s"] <= 180:
         raise InputError(path, "theta_s out of range", where=where, found=row["theta_s"], accepted="0 to 180 degree")
     return Fibre(name=row["name"] or where.replace(" ", "-"), **values)

@@ -82,6 +82,21 @@ class Monochromator(_SerialDevice):
         le=10_000,
         details="A move with a speed can be stopped.",
     )
+    wavelength_u: float = key(
+        "standard uncertainty (k = 1) of the wavelength",
+        default=0.1,
+        unit="nm",
+        ge=0,
+        le=10,
+        details="For [the budget](#the-budget).",
+    )
+    polarisation: float = key(
+        "degree of linear polarisation of the beam, unknown in direction, as a standard uncertainty",
+        default=0,
+        ge=0,
+        le=1,
+        details="Gratings polarise: measure it with a polariser, or use a depolariser.",
+    )
 
 
 class Wheel(_SerialDevice):
@@ -132,6 +147,9 @@ class Camera(Keys):
         default=25_000,
         unit="e⁻",
         gt=0,
+    )
+    linearity_u: float = key(
+        "relative standard uncertainty (k = 1) of ratios of counts below `linear_to`", default=0.001, ge=0, le=0.1
     )
     bits: Annotated[int, WHOLE] = key("bits of a count", default=16, ge=8, le=16)
     timeout: float = key("time to wait for a frame beyond its exposure", default=60, unit="s", gt=0, le=3600)

@@ -172,7 +172,8 @@ def test_uncertainty_components_add_in_quadrature_and_state_their_correlation():
     parts = [primary[f"brdf_u_{name}"].values for name in NAMES]
     assert np.sqrt(np.sum(np.square(parts), axis=0)) == pytest.approx(primary["brdf_u"].values, nan_ok=True)
     common = {name for name in NAMES if primary[f"brdf_u_{name}"].attrs["correlation"] == "common"}
-    assert common == {"repeat", "reference", "certificate", "nd", "glare", "path"}
+    of_frames = {"repeat", "reference", "certificate", "nd", "glare", "path", "stray"}
+    assert common == of_frames | {"wavelength", "band", "polarisation", "linearity"}
 
 
 def test_common_errors_of_the_etalon_stay_common():

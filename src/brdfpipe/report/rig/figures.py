@@ -43,6 +43,8 @@ _WEBP_QUALITY = 40
 _INDEPENDENT, _COMMON = "independent", "common"
 _COLOUR_FAMILY = {_INDEPENDENT: "i", _COMMON: "k"}
 """Cold and warm colours."""
+_MOST_COLOURS = {_INDEPENDENT: 3, _COMMON: 6}
+"""Number of colours of each."""
 _MOST_BINS, _CELLS_PER_BIN = 14, 6
 _SMALLEST_SHARE = 1e-5
 """Smallest share whose digits are shown."""
@@ -266,14 +268,14 @@ def budget(primary: xr.Dataset, kind: str) -> Figure | None:
     cells = np.flatnonzero(used.any(axis=(0, 1)))
     if not parts or cells.size == 0:
         return None
-    share = _shares(primary, list(parts), used)[:, cells]
-    middle, mean = _binned(primary["theta_s"].values[cells], share)
+    middle, mean = _binned(primary["theta_s"].values[cells], _shares(primary, list(parts), used)[:, cells])
+    parts, mean = _largest(parts, mean)
     stacked = np.concatenate([np.zeros((1, middle.size)), np.cumsum(mean, axis=0)]) * 100 / mean.sum(axis=0)
     count = {_INDEPENDENT: 0, _COMMON: 0}
     marks: list[Mark] = []
     for k, (name, correlation) in enumerate(parts.items()):
         style = f"f {_COLOUR_FAMILY[correlation]}{count[correlation]}"
-        label = f"{COMPONENT_NAMES.get(name, name)} ({correlation})"
+        label = name if name.startswith("others") else f"{COMPONENT_NAMES.get(name, name)} ({correlation})"
         marks.append(Band(middle, stacked[k], stacked[k + 1], style, label))
         count[correlation] += 1
     if 0 < count[_INDEPENDENT] < len(parts):
@@ -291,6 +293,23 @@ def budget(primary: xr.Dataset, kind: str) -> Figure | None:
         "and incidences."
     )
     return Figure(f"Where the uncertainty {words} comes from", svg, legend(marks), note)
+
+
+def _largest(parts: dict[str, str], mean: Array) -> tuple[dict[str, str], Array]:
+    """The components with the largest shares (component, bin) of either kind, and the sum of its others."""
+    shown: dict[str, str] = {}
+    rows: list[Array] = []
+    for correlation, most in _MOST_COLOURS.items():
+        own = [k for k, kind in enumerate(parts.values()) if kind == correlation]
+        order = sorted(own, key=lambda k: -float(mean[k].mean()))
+        kept = order if len(order) <= most else order[: most - 1]
+        for k in sorted(kept):
+            shown[list(parts)[k]] = correlation
+            rows.append(mean[k])
+        if len(kept) < len(order):
+            shown[f"others, {correlation}"] = correlation
+            rows.append(mean[order[len(kept) :]].sum(axis=0))
+    return shown, np.array(rows)
 
 
 def median_uncertainty(primary: xr.Dataset, kind: str, component: str = "") -> float:

@@ -15,7 +15,7 @@ from brdfpipe.bsdf.measured.agreement import asymmetry
 from brdfpipe.bsdf.registry import representation
 from brdfpipe.bsdf.representations.measured import Measured
 from brdfpipe.report.cards import Chapter, Table
-from brdfpipe.report.formatting import MISSING, fixed, number
+from brdfpipe.report.formatting import MISSING, fixed, number, percent
 from brdfpipe.report.plots.bsdf_sections import REFERENCE_WAVELENGTH
 from brdfpipe.report.plots.indicatrix import indicatrix
 from brdfpipe.report.plots.svg import Figure
@@ -23,6 +23,7 @@ from brdfpipe.report.rig import figures as rig_figures
 from brdfpipe.report.rig import fit as rig_fit
 from brdfpipe.report.rig import reciprocity as rig_reciprocity
 from brdfpipe.report.rig.figures import FITTED, HIDDEN, uncertainty_percent
+from brdfpipe.rig.reduction.budget import BY_NAME, dominant
 from brdfpipe.rig.reduction.calibration import GRAZING
 from brdfpipe.specular_directions import cos_view_etalon
 
@@ -81,6 +82,7 @@ def chapter(datasets: Mapping[str, xr.Dataset]) -> Chapter | None:
     for side in measured_sides:
         parts += [rig_figures.budget(side.primary, kind) for kind in ("disc", "fibre")]
         parts.append(_uncertainty_table(side, named=len(measured_sides) > 1))
+        parts.append(_dominant_table(side, named=len(measured_sides) > 1))
     parts.append(_lobe(datasets, measured_sides))
     for side, index in shown(MOST_FITS):
         arguments = side.primary, side.smoothed, index
@@ -306,6 +308,7 @@ def _uncertainty_table(side: Side, *, named: bool) -> Table:
         (
             rig_figures.COMPONENT_NAMES.get(name, name),
             correlation,
+            *_declared(name),
             *(
                 uncertainty_percent(rig_figures.median_uncertainty(side.primary, kind, name))
                 for kind in ("disc", "fibre")
@@ -316,6 +319,28 @@ def _uncertainty_table(side: Side, *, named: bool) -> Table:
     combined = (uncertainty_percent(rig_figures.median_uncertainty(side.primary, kind)) for kind in ("disc", "fibre"))
     title = "Standard uncertainty of a cell's value" + (f", {side.name}" if named else "")
     note = "k = 1, relative. Medians over cells, wavelengths and incidences; the combined median is not the root sum of squares of the others."
-    return Table(
-        title, ("Component", "from cell to cell", "Disc", "Fibres"), [*rows, ("combined", "", *combined)], note
-    )
+    header = ("Component", "from cell to cell", "evaluated", "from", "Disc", "Fibres")
+    return Table(title, header, [*rows, ("combined", "", "", "", *combined)], note)
+
+
+def _declared(name: str) -> tuple[str, str]:
+    """Evaluation and distribution, and origin, of a term of the budget."""
+    term = BY_NAME.get(name)
+    return (f"{term.evaluation}, {term.distribution}", term.origin.replace("`", "")) if term else ("", "")
+
+
+def _dominant_table(side: Side, *, named: bool) -> Table | None:
+    """The largest term of each incidence; None without values."""
+    rows = [
+        (
+            f"{entry.incidence:g}°",
+            rig_figures.COMPONENT_NAMES.get(entry.name, entry.name),
+            percent(entry.share),
+            uncertainty_percent(entry.u),
+        )
+        for entry in dominant(side.primary)
+    ]
+    title = "What limits the uncertainty" + (f", {side.name}" if named else "")
+    note = "Medians over measured values of all cells and wavelengths."
+    header = ("Incidence", "Largest component", "share of the variance", "Standard uncertainty")
+    return Table(title, header, rows, note) if rows else None

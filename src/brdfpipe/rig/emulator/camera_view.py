@@ -133,8 +133,18 @@ def _fibres(
     pixels, directions = np.repeat(spots.pixel, nodes), (nodes * spots.spot[:, None] + np.arange(nodes)).ravel()
     size = shape[0] * shape[1], nodes * len(rig.fibres)
     matrix = sparse.coo_array((weight, (pixels, directions)), shape=size)
-    theta, phi = (np.array([getattr(fibre, angle) for fibre in rig.fibres]) for angle in ("theta_s", "phi_s"))
+    theta, phi = fibre_directions(rig, effects, seed)
     return np.stack([angle.ravel() for angle in _field_nodes(theta, phi, effects.fibre_field)]), matrix
+
+
+def fibre_directions(rig: Rig, effects: Effects, seed: int) -> tuple[Array, Array]:
+    """True directions of the fibres about the mirror direction [degree]."""
+    theta, phi = (np.array([getattr(fibre, angle) for fibre in rig.fibres]) for angle in ("theta_s", "phi_s"))
+    if not effects.fibre_directions:
+        return theta, phi
+    azimuth = random_stream(seed, "fibre directions").uniform(0, 2 * np.pi, theta.size)[:, None]
+    aside = np.cos(azimuth) * unit_vector(theta + 90, phi) + np.sin(azimuth) * unit_vector(90.0, phi + 90)
+    return angles_of(unit_vector(theta, phi) + np.tan(np.radians(effects.fibre_directions)) * aside)
 
 
 def fibre_efficiency(count: int, effects: Effects, seed: int) -> Array:

@@ -49,6 +49,8 @@ class Effects:
     """Share of fibres that transmit nothing."""
     fibre_field: float = 0.3
     """Half angle of the field of view of a fibre [degree]: an end of 1 mm radius at 200 mm."""
+    fibre_directions: float = 0.0
+    """Distance of the direction of each fibre from the description, in a random azimuth [degree]."""
     holes: float = 3.0
     """Angular radius of the entrances, as seen from the sample, which return no light [degree]."""
     stray: float = 2e-5

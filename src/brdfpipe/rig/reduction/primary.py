@@ -14,6 +14,7 @@ from brdfpipe import specular_directions, vocabulary
 from brdfpipe.errors import abbreviated
 from brdfpipe.geometry import Array
 from brdfpipe.rig.reduction.arrangements import ENTRANCE_EXCLUSION_RADIUS, CalibrationError, finite_median
+from brdfpipe.rig.reduction.budget import BY_NAME, terms_of_brdf
 from brdfpipe.rig.reduction.calibration import COMMON, PATH_U, finish, refuse_zeros
 
 HORIZON = 0.01
@@ -40,8 +41,8 @@ def apply_profile(
 
     Returns
     -------
-    Dataset of kind ``primary``: ``brdf(incidence, wavelength, cell)``, its combined standard uncertainty and the components ``noise,
-    repeat, reference, calibration, certificate, nd, glare, geometry, path``. The attribute ``stray`` is the stray light that was subtracted:
+    Dataset of kind ``primary``: ``brdf(incidence, wavelength, cell)``, its combined standard uncertainty and its components, the
+    terms of :data:`brdfpipe.rig.reduction.budget.TERMS`. The attribute ``stray`` is the stray light that was subtracted:
     BRDF times cosine of view [1/sr] of the cells below the sample's horizon.
 
     Raises
@@ -79,10 +80,11 @@ def apply_profile(
     parts = _uncertainty_components(reduced, profile, scale, projected)
     parts["path"] = np.abs(projected) * (path_u / path)[..., None]
     stray, stray_u = _stray_light(projected, np.hypot(parts["noise"], parts["calibration"]), cosine)
-    parts["glare"] = np.hypot(parts["glare"], stray_u[:, None, None])
+    parts["stray"] = np.where(np.isfinite(projected), stray_u[:, None, None], np.nan)
     above = np.where(cosine > HORIZON, cosine, np.nan)[:, None]
     brdf = (projected - stray[:, None, None]) / above
     parts = {name: part / above for name, part in parts.items()}
+    parts |= terms_of_brdf(reduced, brdf, profile["incidence"].values)
     primary = _primary_dataset(reduced, profile, brdf, parts, cosine)
     return finish(primary, "primary", reduced, doubts).assign_attrs(stray=stray.tolist(), stray_u=stray_u.tolist())
 
@@ -187,10 +189,6 @@ def _uncertainty_components(
 def _primary_dataset(
     reduced: xr.Dataset, profile: xr.Dataset, brdf: Array, parts: dict[str, Array], cosine: Array
 ) -> xr.Dataset:
-    correlation = {
-        name: reduced[f"signal_u_{name}"].attrs["correlation"] for name in parts if f"signal_u_{name}" in reduced
-    }
-    correlation |= {"calibration": "independent", "certificate": "common", "path": "common"}
     quality = reduced["signal_quality"].values.copy()
     explained = np.isin(quality, [vocabulary.quality(name) for name in ("saturated", "missing")])
     quality[np.isnan(brdf) & ~explained] = vocabulary.quality("vignetted")
@@ -198,7 +196,9 @@ def _primary_dataset(
     total = np.sqrt(np.sum([part**2 for part in parts.values()], axis=0))
     dims = ("incidence", "wavelength", "cell")
     variables: dict[str, Any] = {"brdf": (dims, brdf), "brdf_u": (dims, total), "brdf_quality": (dims, quality)}
-    variables |= {f"brdf_u_{name}": (dims, part, {"correlation": correlation[name]}) for name, part in parts.items()}
+    variables |= {
+        f"brdf_u_{name}": (dims, part, {"correlation": BY_NAME[name].correlation}) for name, part in parts.items()
+    }
     attrs = {name: reduced.attrs[name] for name in ("rig", "rig_digest", "sample", "day", "side", "disc_scale_u")}
     attrs |= {"certificate": profile.attrs["certificate"], "calibrated": profile.attrs["day"]}
     return xr.Dataset(variables, coords=reduced.coords, attrs=attrs)

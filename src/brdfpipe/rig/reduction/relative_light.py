@@ -346,6 +346,8 @@ def _reduced_dataset(
 ) -> xr.Dataset:
     """The dataset of kind ``reduced``, with its one incidence."""
     incidence = float(chosen["incidence"].values[0])
+    fibres = np.array([fibre.u for fibre in rig.fibres])
+    reduced = reduced.assign_coords(direction_u=("cell", np.pad(fibres, (0, reduced.sizes["cell"] - fibres.size))))
     spectral = [name for name, field in reduced.data_vars.items() if "wavelength" in field.dims]
     reduced = reduced.assign(reduced[spectral].expand_dims(incidence=[incidence]))
     for name, correlation in COMPONENTS.items():
@@ -369,6 +371,10 @@ def _reduced_dataset(
         "disc_centre": list(registration.screen.disc_centre),
         "disc_centre_u": registration.direction_u,
         "disc_scale_u": registration.scale_u,
+        "wavelength_u": rig.monochromator.wavelength_u,
+        "slit": rig.slit,
+        "polarisation": rig.monochromator.polarisation,
+        "linearity_u": rig.camera.linearity_u,
     }
     reduced = vocabulary.add_warning(reduced, *vocabulary.warnings(chosen), *dict.fromkeys(warnings))
     return vocabulary.validate(vocabulary.label(reduced, "reduced"), "reduced")

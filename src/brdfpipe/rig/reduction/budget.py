@@ -1,0 +1,180 @@
+"""The uncertainty budget of a measured BRDF: each term is declared here once, and computed here where it follows from the BRDF itself.
+
+Source: JCGM 100:2008 (Guide to the expression of uncertainty in measurement, GUM), §4 and annex H.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import xarray as xr
+
+from brdfpipe import specular_directions, vocabulary
+from brdfpipe.geometry import Array, unit_vector
+
+INDEX = 1.5
+"""Refractive index of the surface reflection whose polarisation counts; a face of a higher index polarises less."""
+
+_NEIGHBOURS = 10  # cells from which the slope of the BRDF about a fibre follows
+_LEAST_DISTANCE = 0.5  # at which the weights of these cells stop growing [degree]
+
+
+@dataclass(frozen=True)
+class Term:
+    """One term of the budget."""
+
+    name: str
+    """Of the component ``brdf_u_<name>`` of kind ``primary``."""
+    meaning: str
+    correlation: str
+    """``independent`` from cell to cell, or ``common`` to the cells of an incidence and wavelength."""
+    evaluation: str
+    """``A`` from repeated observations, ``B`` otherwise."""
+    distribution: str
+    freedom: float
+    """Degrees of freedom; infinite where the size counts as known."""
+    sensitivity: str
+    """Relative change of the BRDF by a unit of the input."""
+    origin: str
+
+
+_KNOWN = float("inf")
+
+TERMS = (
+    Term("noise", "photons and read noise", "independent", "A", "normal", _KNOWN, "1", "gain and read noise of rig.yaml"),
+    Term("repeat", "light over its reference", "common", "A", "normal", 10, "1", "lamp monitor readings of the run"),
+    Term("reference", "light of the reference spot", "common", "A", "normal", _KNOWN, "1", "its photons and read noise"),
+    Term("calibration", "noise of the etalon", "independent", "A", "normal", _KNOWN, "1", "frames of the etalon"),
+    Term("certificate", "level and angular shape of the etalon", "common", "B", "normal", _KNOWN, "1", "its certificate"),
+    Term("nd", "transmittances of the filters", "common", "B", "normal", _KNOWN, "1 a frame", "rig.yaml and overlapping frames"),
+    Term("glare", "veiling glare of the camera", "common", "B", "normal", _KNOWN, "glare over light", "fit between the spots"),
+    Term("stray", "light of walls and mirrors", "common", "A", "normal", _KNOWN, "1/BRDF", "cells below the horizon"),
+    Term("geometry", "position of the picture, curvature over a cell", "independent", "B", "normal", _KNOWN, "slope of the picture", "registration"),
+    Term("directions", "directions of the fibres", "independent", "B", "normal", _KNOWN, "slope of BRDF and cosines over direction", "`u` of fibres.csv"),
+    Term("wavelength", "error of the monochromator", "common", "B", "rectangular", _KNOWN, "slope of BRDF over wavelength", "`monochromator.wavelength_u`"),
+    Term("band", "width of the band, not corrected", "common", "B", "rectangular", _KNOWN, "curvature of BRDF over wavelength", "`slit`"),
+    Term("polarisation", "polarisation of the beam", "common", "B", "rectangular", _KNOWN, "M01/M00 of the surface reflection", "`monochromator.polarisation`"),
+    Term("linearity", "linearity of the camera", "common", "B", "rectangular", _KNOWN, "1", "`camera.linearity_u`"),
+    Term("path", "light of the entrance", "common", "A", "normal", _KNOWN, "1", "etalon through each entrance"),
+)  # fmt: skip
+"""Every term of kind ``primary``."""
+
+BY_NAME = {term.name: term for term in TERMS}
+
+
+class Dominant(NamedTuple):
+    """The largest term of an incidence."""
+
+    incidence: float  # degree
+    name: str
+    share: float
+    """Of the variance, median over the values"""
+    u: float
+    """Relative combined standard uncertainty, median over the values"""
+
+
+def terms_of_brdf(reduced: xr.Dataset, brdf: Array, entrances: Array) -> dict[str, Array]:
+    """The terms that follow from the BRDF itself [1/sr], (incidence, wavelength, cell); missing where it is.
+
+    Parameters
+    ----------
+    reduced : kind ``reduced``, with the sizes of the inputs as attributes, and the coordinate ``direction_u``; what is not there counts as exact
+    brdf : (incidence, wavelength, cell) in sr⁻¹; missing where there is no value
+    entrances : through which the etalon was measured [degree]
+    """
+    attrs, wavelength = reduced.attrs, reduced["wavelength"].values
+    slope = bend = np.zeros(brdf.shape)
+    if wavelength.size > 1:
+        slope = np.abs(np.gradient(brdf, wavelength, axis=1))
+    if wavelength.size > 2:
+        steps = np.diff(brdf, axis=1) / np.diff(wavelength)[:, None]
+        inner = 2 * np.abs(np.diff(steps, axis=1)) / (wavelength[2:] - wavelength[:-2])[:, None]
+        bend = np.concatenate([inner[:, :1], inner, inner[:, -1:]], axis=1)  # at the ends as next to them
+    # A triangular band of full width s at half maximum has the variance s²/6.
+    terms = {
+        "directions": np.nan_to_num(np.abs(brdf) * _direction_error(reduced, brdf, entrances)),
+        "wavelength": np.nan_to_num(slope) * float(attrs.get("wavelength_u", 0.0)),
+        "band": np.nan_to_num(bend) * float(attrs.get("slit", 0.0)) ** 2 / 12,
+        "polarisation": float(attrs.get("polarisation", 0.0)) * _polarised(reduced, brdf),
+        "linearity": np.nan_to_num(np.abs(brdf)) * float(attrs.get("linearity_u", 0.0)),
+    }
+    return {name: np.where(np.isfinite(brdf), term, np.nan) for name, term in terms.items()}
+
+
+def _direction_error(reduced: xr.Dataset, brdf: Array, entrances: Array) -> Array:
+    """Relative error (incidence, wavelength, cell) of cells that see another direction than described.
+
+    Their light is that of the true direction, of sample and etalon; it is divided by the cosines of the described one.
+    """
+    error = np.zeros(brdf.shape)
+    if "direction_u" not in reduced.coords:
+        return error
+    direction_u = np.radians(reduced["direction_u"].values)
+    moved = np.flatnonzero(direction_u > 0)
+    theta, phi = reduced["theta_s"].values, reduced["phi_s"].values
+    direction = unit_vector(theta, phi)
+    axes = np.stack([unit_vector(theta + 90, phi), unit_vector(np.full_like(phi, 90.0), phi + 90)], axis=1)
+    etalon = np.mean([_cosine_slope(2 * entrance, direction, axes) for entrance in entrances], axis=0)
+    for at, incidence in enumerate(reduced["incidence"].values):
+        known = np.flatnonzero((brdf[at] > 0).all(axis=0))
+        if known.size <= 3:
+            continue
+        logarithm = np.log(brdf[at][:, known])
+        cosines = _cosine_slope(float(incidence), direction, axes) - etalon
+        for cell in np.intersect1d(moved, known):
+            slope = _slope(direction[known], logarithm, direction[cell], axes[cell]) + cosines[cell]
+            # The direction is off by u in any azimuth: along the slope by u/√2, root mean square.
+            error[at, :, cell] = np.hypot(*slope.T) * direction_u[cell] / np.sqrt(2)
+    return error
+
+
+def _cosine_slope(tilt: float, direction: Array, axes: Array) -> Array:
+    """Slope (cell, axis) of the logarithm of the cosine from a normal ``tilt`` degree from the mirror direction; 0 where it is hardly seen."""
+    normal = unit_vector(np.array([tilt]), np.zeros(1))[0]
+    cosine = direction @ normal
+    return np.where((cosine > 0.05)[:, None], (axes @ normal) / np.maximum(cosine, 0.05)[:, None], 0.0)
+
+
+def _slope(direction: Array, logarithm: Array, at: Array, axes: Array) -> Array:
+    """Slope (wavelength, axis) of logarithms (wavelength, cell) of the cells nearest to a direction."""
+    distance = np.linalg.norm(direction - at, axis=1)
+    near = np.argsort(distance)[:_NEIGHBOURS]
+    weight = 1 / np.hypot(distance[near], np.radians(_LEAST_DISTANCE))
+    design = np.column_stack([np.ones(near.size), direction[near] @ axes.T]) * weight[:, None]
+    return np.asarray(np.linalg.lstsq(design, (logarithm[:, near] * weight).T)[0][1:].T)
+
+
+def _polarised(reduced: xr.Dataset, brdf: Array) -> Array:
+    """Part of the BRDF that changes with the polarisation of the beam [1/sr]: M01/M00 of a face, times what is above the darkest cell."""
+    incidence = reduced["incidence"].values[:, None]
+    towards = specular_directions.cos_view_etalon(incidence, reduced["theta_s"].values, reduced["phi_s"].values)
+    cosine = np.sqrt(
+        (1 + np.clip(towards, -1, 1)) / 2
+    )  # of the angle of incidence on a facet that reflects into the cell
+    inside = np.sqrt(1 - (1 - cosine**2) / INDEX**2)
+    s = ((cosine - INDEX * inside) / (cosine + INDEX * inside)) ** 2
+    p = ((INDEX * cosine - inside) / (INDEX * cosine + inside)) ** 2
+    lowest = np.nanmin(np.where(brdf > 0, brdf, np.inf), axis=2, keepdims=True)
+    return np.nan_to_num(np.maximum(brdf - lowest, 0.0)) * (np.abs(s - p) / np.maximum(s + p, 1e-12))[:, None]
+
+
+def dominant(primary: xr.Dataset) -> list[Dominant]:
+    """The largest term of each incidence, by its median share of the variance over valid values."""
+    names = [name for name in BY_NAME if f"brdf_u_{name}" in primary]
+    value, total = primary["brdf"].values, primary["brdf_u"].values
+    valid = np.isfinite(value) & (value > 0) & (total > 0)
+    if "brdf_quality" in primary:
+        valid &= primary["brdf_quality"].values == vocabulary.quality("measured")
+    listed = []
+    for at, incidence in enumerate(primary["incidence"].values):
+        own = valid[at]
+        if not own.any():
+            continue
+        variance = total[at][own] ** 2
+        shares = [float(np.median(primary[f"brdf_u_{name}"].values[at][own] ** 2 / variance)) for name in names]
+        largest = int(np.argmax(shares))
+        u = float(np.median(total[at][own] / value[at][own]))
+        listed.append(Dominant(float(incidence), names[largest], shares[largest], u))
+    return listed

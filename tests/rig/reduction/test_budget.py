@@ -1,0 +1,96 @@
+"""The uncertainty budget: its declaration, and the terms that follow from the BRDF itself."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import rig_accuracy as accuracy
+import rig_emulated
+from rig_reduced import NAMES, brdf_of, directions, reduced
+
+from brdfpipe.rig.emulator.effects import Effects
+from brdfpipe.rig.reduction.budget import BY_NAME, TERMS, dominant, terms_of_brdf
+
+
+def sample(brdf, wavelengths=(500.0, 510.0, 520.0), **attrs):
+    """A sample at 30°, with a BRDF of directions and wavelengths, and its terms."""
+    theta, phi = directions()
+    dataset = reduced("sample", (30.0,)).isel(wavelength=slice(0, len(wavelengths))).assign_attrs(attrs)
+    dataset = dataset.assign_coords(wavelength=np.array(wavelengths))
+    values = np.stack([brdf(theta, phi, wavelength) for wavelength in wavelengths])[None]
+    return values, terms_of_brdf(dataset, values, np.array([10.0]))
+
+
+def test_every_component_is_declared_once():
+    primary = brdf_of(reduced("sample"))
+    found = {str(name).removeprefix("brdf_u_") for name in primary.data_vars if str(name).startswith("brdf_u_")}
+    assert found == set(NAMES) == set(BY_NAME)
+    assert len(TERMS) == len(BY_NAME)
+    for term in TERMS:
+        assert term.evaluation in "AB"
+        assert term.distribution in ("normal", "rectangular")
+        assert term.freedom > 0
+        assert term.origin
+
+
+def test_the_wavelength_counts_by_the_slope_of_the_spectrum():
+    _, terms = sample(lambda theta, phi, nm: np.full(theta.size, 0.1 + 0.002 * (nm - 500)), wavelength_u=0.2)
+    assert terms["wavelength"] == pytest.approx(0.002 * 0.2)
+    assert terms["band"] == pytest.approx(0.0, abs=1e-12)
+
+
+def test_the_band_counts_by_the_curvature_of_the_spectrum():
+    _, terms = sample(lambda theta, phi, nm: np.full(theta.size, 0.1 + 1e-4 * (nm - 500) ** 2), slit=10.0)
+    # The mean of a parabola a x² over a triangle of the full width s at half maximum is a s²/6.
+    assert terms["band"] == pytest.approx(1e-4 * 10**2 / 6)
+
+
+def test_polarised_light_counts_by_the_surface_reflection():
+    values, terms = sample(lambda theta, phi, nm: np.full(theta.size, 0.3), polarisation=0.2)
+    # A matt surface depolarises.
+    assert terms["polarisation"] == pytest.approx(0.0, abs=1e-15)
+    values, terms = sample(lambda theta, phi, nm: 0.1 + np.exp(-theta / 10), polarisation=0.2)
+    assert (terms["polarisation"] <= 0.2 * values).all()
+    assert terms["polarisation"].max() > 0.01
+
+
+def test_a_direction_counts_by_the_slope_of_the_brdf():
+    theta, _ = directions()
+    dataset = (
+        reduced("sample", (0.0,)).isel(wavelength=[0]).assign_coords(direction_u=("cell", np.full(theta.size, 0.5)))
+    )
+    steep = np.exp(-theta / 5)[None, None]
+    u = terms_of_brdf(dataset, steep, np.array([0.0]))["directions"] / steep
+    inner = (theta > 8) & (theta < 60)
+    # Both cosines are the same: the slope 1/5° of the BRDF alone remains, by an angle in any azimuth.
+    assert np.median(u[0, 0, inner]) == pytest.approx(0.5 / 5 / np.sqrt(2), rel=0.1)
+    exact = dataset.assign_coords(direction_u=("cell", np.zeros(theta.size)))
+    assert not terms_of_brdf(exact, steep, np.array([0.0]))["directions"].any()
+
+
+@pytest.mark.slow
+@pytest.mark.cases(1)
+@pytest.mark.parametrize(("off", "stated"), [(0.7, 0.7), (0.3, 0.3)])
+def test_fibres_that_look_elsewhere_are_within_the_budget(off, stated):
+    z = {}
+    truth = accuracy.TRUTHS["narrow, 300 sr⁻¹, 1.5°, on metallic 14°"]()
+    for u in (0.0, stated):
+        plan = rig_emulated.plan()
+        plan = replace(plan, rig=replace(plan.rig, fibres=tuple(replace(fibre, u=u) for fibre in plan.rig.fibres)))
+        result = accuracy.measured(plan, truth, seed=1, session=1, effects=Effects(fibre_directions=off))
+        z[u] = np.sqrt(np.mean(result.z[~result.of_disc] ** 2))
+    assert z[0.0] > 2
+    assert 0.6 < z[stated] <= 1.3
+
+
+def test_the_dominant_term_of_each_incidence_is_named():
+    primary = brdf_of(reduced("sample"))
+    largest = primary.copy(deep=True)
+    largest["brdf_u_nd"] = 0.05 * largest["brdf"]
+    largest["brdf_u"] = np.sqrt(sum(largest[f"brdf_u_{name}"] ** 2 for name in NAMES))
+    found = dominant(largest)
+    assert [entry.incidence for entry in found] == [10.0, 30.0]
+    assert {entry.name for entry in found} == {"nd"}
+    assert all(entry.share > 0.8 and entry.u == pytest.approx(0.05, rel=0.1) for entry in found)
