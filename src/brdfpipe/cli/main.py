@@ -14,7 +14,7 @@ from pathlib import Path
 
 import click
 
-from brdfpipe.cli.console import FILE, FOLDER, PRESENT, exit_on_error, print_json
+from brdfpipe.cli.console import FILE, FOLDER, PRESENT, Commands, exit_on_error, print_json
 from brdfpipe.cli.doctor import doctor
 from brdfpipe.cli.rig import rig
 from brdfpipe.cli.serving import serve
@@ -24,7 +24,7 @@ from brdfpipe.cli.watching import watch
 from brdfpipe.errors import BrdfpipeError, printable
 
 
-@click.group(context_settings={"help_option_names": ["-h", "--help"]})
+@click.group(cls=Commands, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(version("brdfpipe"), prog_name="brdfpipe")
 def main() -> None:
     """Trustworthy BRDFs for a catalogue of plastics, paints and films."""
