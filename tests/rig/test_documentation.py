@@ -174,6 +174,14 @@ def test_the_table_of_faults_is_complete():
     assert [words(row["Fault"])[0] for row in rows(section("The emulator"), "Fault")] == list(KINDS)
 
 
+def test_every_error_of_a_bench_has_its_test() -> None:
+    table = rows(section("What each frame must show"), "Error")
+    assert len(table) > 10
+    sources = "".join(path.read_text(encoding="utf-8") for path in (PROJECT / "tests" / "rig").rglob("test_*.py"))
+    missing = [name for row in table for name in words(row["Test"]) if f"def {name}(" not in sources]
+    assert missing == []
+
+
 def test_every_dialect_of_the_controllers_is_documented() -> None:
     table = rows(section("The emulator"), "Dialect of the controllers (`--dialect`)")
     documented = {words(row["Dialect of the controllers (`--dialect`)"])[0]: row["They differ in"] for row in table}

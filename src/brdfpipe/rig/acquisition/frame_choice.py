@@ -7,7 +7,7 @@ their own light: frames that were left out and turn out to be needed are taken a
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import pairwise
@@ -41,6 +41,40 @@ class FrameChoice:
     """Light of each cell and of its brightest pixel [e⁻/s] without filter, in the last bracket of an arrangement."""
     _own: dict[tuple[Arrangement, float], tuple[Array, Array, Array]] = field(default_factory=dict)
     """The same in a bracket that is being taken, with the ratio of light to noise of the frame that shows it best."""
+
+    _chosen: dict[tuple[Arrangement, float], frozenset[int]] = field(default_factory=dict)
+    """Steps of each bracket that are taken."""
+
+    def order(self, missing: Sequence[Shot], leave_out: Callable[[list[Shot]], None]) -> Iterator[Shot]:
+        """The frames to take, in order; each must be learnt before the next is asked for.
+
+        ``leave_out`` is called with the frames of a bracket that are not needed, once the others are taken.
+        """
+        last = {(shot.arrangement, shot.wavelength): shot for shot in missing if shot.step}
+        for shot in missing:
+            if not shot.step:
+                yield shot
+                continue
+            key = shot.arrangement, shot.wavelength
+            if key not in self._chosen:
+                self._chosen[key] = self.before(*key)
+            if shot.step in self._chosen[key]:
+                yield shot
+            if shot != last[key]:
+                continue
+            # All frames that were chosen are taken: they show whether others are needed.
+            further = self.after(*key) - self._chosen[key]
+            others = [other for other in missing if other.step and (other.arrangement, other.wavelength) == key]
+            others = [other for other in others if other.step not in self._chosen[key]]
+            self._chosen[key] |= further
+            yield from (other for other in others if other.step in further)
+            if spared := [other for other in others if other.step not in further]:
+                leave_out(spared)
+
+    def last_step(self, shot: Shot) -> int:
+        """The last step of a frame's bracket that is taken, as far as it is known."""
+        everything = frozenset({len(self.plan.bracket)})
+        return max(self._chosen.get((shot.arrangement, shot.wavelength), everything))
 
     @cached_property
     def _weights(self) -> sparse.csr_array:

@@ -13,6 +13,7 @@ import shutil
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
+from functools import partial
 from importlib.metadata import version
 from operator import attrgetter
 from pathlib import Path
@@ -159,8 +160,6 @@ class _Scan:
     """None where frames are accepted unchecked."""
     _choice: FrameChoice | None = None
     """None where all frames of a bracket are taken."""
-    _chosen: dict[tuple[Any, ...], frozenset[int]] = field(default_factory=dict)
-    """Bracket → steps that are taken."""
     _left_out: set[Shot] = field(default_factory=set)
     _digests: dict[Shot, str] = field(default_factory=dict)
     _warned: set[tuple[str, Arrangement]] = field(default_factory=set)
@@ -258,7 +257,8 @@ class _Scan:
 
     def _take_all(self, missing: list[Shot], progress: bool) -> None:
         with _progress_bar(self.plan, missing, progress) as advance:
-            for shot in self._needed(missing, advance):
+            choice, leave_out = self._choice, partial(self._leave_out, advance=advance)
+            for shot in missing if choice is None else choice.order(missing, leave_out):
                 try:
                     self._arrange(shot, advance)
                     self._take(shot)
@@ -273,36 +273,12 @@ class _Scan:
                     raise ScanStopped(f"{stop}; {safe}. {advice}") from error
                 advance(shot)
 
-    def _needed(self, missing: list[Shot], advance: Callable[[Shot | None], None]) -> Iterator[Shot]:
-        """The frames to take, in order; of brackets those that are needed, where the plan asks for it."""
-        choice = self._choice
-        if choice is None:
-            yield from missing
-            return
-        last = {_BRACKET(shot): shot for shot in missing if shot.step}
-        for shot in missing:
-            key = _BRACKET(shot)
-            if not shot.step:
-                yield shot
-                continue
-            if key not in self._chosen:
-                self._chosen[key] = choice.before(shot.arrangement, shot.wavelength)
-            if shot.step in self._chosen[key]:
-                yield shot
-            if shot != last[key]:
-                continue
-            # All frames of the bracket that were chosen are taken: they show whether others are needed.
-            self._chosen[key] |= choice.after(shot.arrangement, shot.wavelength)
-            others = [
-                other for other in missing if _BRACKET(other) == key and other not in self._finished and other.step
-            ]
-            yield from (other for other in others if other.step in self._chosen[key])
-            spared = [other for other in others if other.step not in self._chosen[key]]
-            if spared:
-                self._left_out |= {*spared}
-                self.journal.append("left out", shots=[other.ordinal for other in spared])
-                for other in spared:
-                    advance(other)
+    def _leave_out(self, shots: list[Shot], advance: Callable[[Shot | None], None]) -> None:
+        """Record frames that are not needed."""
+        self._left_out |= {*shots}
+        self.journal.append("left out", shots=[shot.ordinal for shot in shots])
+        for shot in shots:
+            advance(shot)
 
     def _arrange(self, shot: Shot, advance: Callable[[Shot | None], None]) -> None:
         if shot.arrangement == self._arrangement:
@@ -391,8 +367,8 @@ class _Scan:
         """Judge a frame before it is stored. Raises BadFrame or BadArrangement, as the plan's ``bad_frames`` asks."""
         if self._judge is None:
             return
-        chosen = self._chosen.get(_BRACKET(shot), frozenset({len(self.plan.bracket)}))
-        last = bool(shot.step) and shot.step == max(chosen)
+        last_step = len(self.plan.bracket) if self._choice is None else self._choice.last_step(shot)
+        last = bool(shot.step) and shot.step == last_step
         for finding in self._judge.judge(shot, raw.counts, wavelength_read=state.wavelength, last_of_bracket=last):
             if finding.severity == "warning" or self.plan.bad_frames == "warn":
                 self._note(shot, finding)

@@ -400,6 +400,13 @@ def test_the_doctor_detects_swapped_ports(plugged: tuple[Rig, Monochromator, Tho
     assert "a device of the Acton dialect answers" in table
 
 
+def test_the_doctor_examines_a_wheel_on_the_monochromators_controller(rig: Rig) -> None:
+    with EmulatedRig(rig_of("acton-wheel", rig, shared=True), None, dialect="usb-lower-case") as emulated:
+        rows, table = examined(emulated.rig, Dark(rig))
+    assert all(row.passed for row in rows), table
+    assert {row.result for row in rows if row.check == "port"} == {emulated.rig.wheel.port}
+
+
 def test_a_dark_frame_that_sees_light_fails(plugged: tuple[Rig, Monochromator, ThorlabsWheel]) -> None:
     rig, _, _ = plugged
     rows, table = examined(rig, Dark(rig, level=60000))
