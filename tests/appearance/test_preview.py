@@ -12,9 +12,10 @@ from PIL import Image
 from brdfpipe import facets, optics, vocabulary
 from brdfpipe.appearance import preview_geometry as shots
 from brdfpipe.appearance.lights import WHITE_LEVEL, LightError
-from brdfpipe.appearance.preview import OTHER_LIGHTS, png, preview, tone
+from brdfpipe.appearance.preview import OTHER_LIGHTS, channels_of, png, preview, tone
 from brdfpipe.bsdf import lambert_gauss, microfacet, slab
 from brdfpipe.spectra import colorimetry
+from brdfpipe.spectra.recovery import recover
 
 
 def black(a):
@@ -32,6 +33,20 @@ def test_a_perfect_white_reaches_the_white_level_and_no_more():
     white = 255 * float(colorimetry.encoded_srgb(WHITE_LEVEL))
     # The brightest of 400 normals sets the exposure.
     assert sphere(picture).max() == pytest.approx(white, abs=1.0)
+
+
+@pytest.mark.parametrize("lab", [(38, 22, 15), (45, 60, 40), (50, 70, 50), (30, 30, -60), (80, 5, 85)])
+def test_a_saturated_colour_is_that_of_steps_of_5_nm(lab):
+    """Wavelengths 20 nm apart. The sum over 5 nm is tested against colour-science."""
+    spectrum = recover(lab, illuminant="D65", observer=10)
+    wavelength, channels = channels_of(lambert_gauss.lambertian(spectrum))
+    found = spectrum["total_reflectance"].interp(wavelength=wavelength).values @ channels
+    whole = spectrum["wavelength"].values, spectrum["total_reflectance"].values
+    xyz = colorimetry.reflectance_to_xyz(*whole, "D65", 2)
+    wanted = colorimetry.srgb_from_xyz(colorimetry.weights("D65", 2).white) @ xyz
+    # A hundredth of the weakest channel, which is outside sRGB of one.
+    assert wavelength.size == 16
+    assert found == pytest.approx(wanted, rel=0.01)
 
 
 @pytest.mark.parametrize("illuminant", ["D65", "A", "FL2"])

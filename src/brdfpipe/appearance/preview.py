@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
 
 from brdfpipe import vocabulary
 from brdfpipe.appearance.lights import WHITE_LEVEL, Lights, lights
@@ -56,6 +57,7 @@ _FEWER = 0.7
 """Share of the number of pixels up to which the points of a grid are worth it."""
 
 _WAVELENGTHS = np.arange(400.0, 701.0, 20.0)
+_FEWEST_OF_SPLINE = 4
 
 
 def preview(
@@ -153,8 +155,8 @@ def _step(width: float) -> float:
 def channels_of(bsdf: xr.Dataset, illuminant: str = "D65") -> tuple[Array | None, Array]:
     """Wavelengths to evaluate at, and their weights in linear sRGB (wavelength, 3), for white (1, 1, 1).
 
-    A reflectance is interpolated linearly between wavelengths 20 nm apart, and constant beyond 400 and 700 nm. Other illuminants
-    are adapted to D65 with the Bradford matrix.
+    A reflectance between wavelengths 20 nm apart is that of a cubic spline, and constant beyond 400 and 700 nm; between the wavelengths of a BSDF
+    that has fewer it is linear. Other illuminants are adapted to D65 with the Bradford matrix.
     """
     *_, grid, weights, white = colorimetry.weights(illuminant, 2)
     to_screen = colorimetry.srgb_from_xyz(white)
@@ -163,6 +165,10 @@ def channels_of(bsdf: xr.Dataset, illuminant: str = "D65") -> tuple[Array | None
     own = bsdf["wavelength"].values
     first, last = np.searchsorted(_WAVELENGTHS, own[0]), np.searchsorted(_WAVELENGTHS, own[-1], side="right")
     inside = _WAVELENGTHS[first:last]
+    if inside.size < own.size and inside.size >= _FEWEST_OF_SPLINE:
+        # Straight lines 20 nm long would take off as much from the peaks of a spectrum as saturated colours have of their weakest channel.
+        spline = CubicSpline(inside, np.eye(inside.size), bc_type="natural")
+        return inside, spline(np.clip(grid, inside[0], inside[-1])).T @ weights @ to_screen.T
     wavelength = own if own.size <= max(inside.size, 1) else inside if inside.size else own[[0, -1]]
     hats = np.stack([np.interp(grid, wavelength, row) for row in np.eye(wavelength.size)])
     return wavelength, hats @ weights @ to_screen.T

@@ -20,6 +20,7 @@ from brdfpipe.cli.rig import rig
 from brdfpipe.cli.serving import serve
 from brdfpipe.cli.show import plot, show
 from brdfpipe.cli.tables import compare, convert, formats
+from brdfpipe.cli.watching import watch
 from brdfpipe.errors import BrdfpipeError, printable
 
 
@@ -367,6 +368,7 @@ def _cores() -> int:
     return os.cpu_count() or 1
 
 
+rig.add_command(watch)
 for command in (show, plot, convert, compare, formats, doctor, rig, serve):
     main.add_command(command)
 

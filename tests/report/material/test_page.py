@@ -194,7 +194,12 @@ def test_every_exported_file_is_listed_with_its_error_and_every_refused_one_with
     toy = Format("rays that <toys> read", {"reflection": {"write": (".toy", ".toy.csv")}}, name="toy")
     monkeypatch.setitem(FORMATS, "toy", toy)
     error = {"percentile_95": 0.0123, "albedo": 0.001}
-    record = {"error": error, "left_out": {"polarisation": "of unpolarised light"}}
+    left_out = {
+        "polarisation": "of unpolarised light",
+        "gamut": "negative values",
+        "reciprocity": "the mean of both orders",
+    }
+    record = {"error": error, "left_out": left_out}
     astm_export = _export("astm", FORMATS["astm"].suffixes("reflection"), record)
     refused = _export("gltf", [], {}).assign_attrs(warnings='["export gltf not written: the surface has a <lay>"]')
     exports = {
@@ -214,7 +219,7 @@ def test_every_exported_file_is_listed_with_its_error_and_every_refused_one_with
         ("abs-grain.toy, abs-grain.toy.csv", "rays that &lt;toys&gt; read"),
         ("abs-grain.lambert_gauss.csv", "parameters of the Lambert + Gauss fit"),
     ]
-    assert "Mueller matrices" in html
+    assert "Mueller matrices; colours outside sRGB; differences between both orders of the directions" in html
     assert "Exported files" not in material_page({"spectrum": full["spectrum"]})
 
 

@@ -39,6 +39,7 @@ from brdfpipe.report.material.plan import choice_words, plan_section
 from brdfpipe.report.material.readings import readings_section
 from brdfpipe.report.material.reflection import lambert_gauss_section, reflection_section
 from brdfpipe.report.material.roughness import roughness_section
+from brdfpipe.report.material.texture import texture_section
 from brdfpipe.report.rendering import as_json, material_name, own_stages, render
 from brdfpipe.report.rig import section as rig_section
 from brdfpipe.report.viewer import viewer_data
@@ -89,6 +90,7 @@ def material_page(
         readings_section(known),
         reflection_section(known),
         colour_section(known),
+        texture_section(known),
         *([] if measured else inputs),
         lambert_gauss_section(known),
         checks_section(known),
