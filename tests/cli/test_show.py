@@ -115,6 +115,10 @@ def test_the_azimuth_of_a_lay_is_shown_as_on_the_page() -> None:
     assert summaries.of_dataset(facets)["lay"]["value"] == pytest.approx(90.7)
 
 
+def test_a_small_value_with_a_unit_stays_what_it_is() -> None:
+    assert summaries._number(2e-12, 1e-13, " um4") == "2e-12 ± 1e-13"
+
+
 @pytest.mark.parametrize(
     ("value", "u", "shown"),
     [
@@ -123,6 +127,8 @@ def test_the_azimuth_of_a_lay_is_shown_as_on_the_page() -> None:
         (123.456, 12.3, "123 ± 12"),
         (1234.5, 123.0, "1234.5 ± 1.2e+02"),
         (0.5, None, "0.5"),
+        (2.8e-14, 7.9e-14, "0"),
+        (0.0, 0.2, "0.00 ± 0.20"),
         (0.5, float("nan"), "0.5"),
     ],
 )

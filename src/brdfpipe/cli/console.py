@@ -27,11 +27,13 @@ FILE_KINDS = ("bsdf", "surface", "spectrum", "index")
 class Commands(click.Group):
     """A group whose errors of usage have the form of all others: one line, with exit code 2."""
 
-    def main(self, *args: Any, standalone_mode: bool = True, **extra: Any) -> Any:
-        if not standalone_mode:
-            return super().main(*args, standalone_mode=False, **extra)  # type: ignore[call-overload]
+    def main(self, *args: Any, **extra: Any) -> Any:
+        alone = extra.pop("standalone_mode", True)
+        run: Callable[..., Any] = super().main
+        if not alone:
+            return run(*args, standalone_mode=False, **extra)
         try:
-            code = super().main(*args, standalone_mode=False, **extra)  # type: ignore[call-overload]
+            code = run(*args, standalone_mode=False, **extra)
         except click.exceptions.NoArgsIsHelpError as usage:
             usage.show()
             code = 2

@@ -19,7 +19,7 @@ _LINE = 72
 """Characters of a line of a note in half the width of the page."""
 _HARDLY_EMPTY = 6
 """Lines that one column may be shorter than the other without a difference to the eye."""
-_MOST_TOGETHER = 10
+_MOST_TOGETHER = 8
 """Cards that are parted between two columns together; more are parted in groups."""
 _LONGEST_FIRST, _LONGEST_WORDS = 24, 80
 """Characters above which the first column, and a column of sentences, is broken into lines."""

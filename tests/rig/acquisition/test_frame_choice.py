@@ -99,9 +99,7 @@ def test_a_lobe_that_brightens_is_measured_by_the_frames_that_were_left_out():
     for shot in etalon:
         choice.learn(replace(shot, arrangement=arrangement), run[shot], darks[shot.exposure])
     first = choice.before(arrangement, 550.0)
-    in_range = {
-        shot.step: run[shot].max() < plan().rig.camera.linear_to / plan().rig.camera.gain for shot in sample
-    }
+    in_range = {shot.step: run[shot].max() < plan().rig.camera.linear_to / plan().rig.camera.gain for shot in sample}
     assert not any(in_range[step] for step in first), "the prediction was right"
     for shot in sample:
         if shot.step in first:
@@ -117,7 +115,9 @@ def test_fewer_frames_give_the_same_accuracy(truth):
     part = whole.isel(frame=~np.isin(whole["shot"].values, spared))
     full, fewer = measured(whole, truth), measured(part, truth)
     lights = sum(bool(shot.step) and shot.purpose != "target" for shot in plan().shots)
-    print(f"{truth}: {len(spared)} of {lights} frames spared, median error {np.median(np.abs(full.error)):.2%} → {np.median(np.abs(fewer.error)):.2%}")
+    print(
+        f"{truth}: {len(spared)} of {lights} frames spared, median error {np.median(np.abs(full.error)):.2%} → {np.median(np.abs(fewer.error)):.2%}"
+    )
     for share in (50, 95):
         assert np.percentile(np.abs(fewer.error), share) < 1.05 * np.percentile(np.abs(full.error), share) + 5e-4
     assert fewer.error.size > 0.995 * full.error.size

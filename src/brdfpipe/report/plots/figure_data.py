@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
 
@@ -23,29 +24,25 @@ def metadata(x: str, y: str, marks: Sequence[Mark]) -> str:
     A mark is ``[name, x, y]``, an area ``[name, x, lower edge, upper edge]``, points with error bars ``[name, x, y, half length]``; x is null
     where it is that of the mark before. Numbers have four significant digits, x five. Undefined values are left out. Empty without any.
     """
-    curves: list[list[object]] = []
-    before, fourth = None, ""
+    curves, before, fourth = [], "", ""
     for mark in marks:
-        columns = list(_columns(mark))
-        numbers = np.stack(np.broadcast_arrays(*columns), axis=-1)
+        numbers = np.stack(np.broadcast_arrays(*_columns(mark)), axis=-1)
         numbers = numbers[np.isfinite(numbers[:, :2]).all(axis=1)]
         if len(numbers) == 0:
             continue
         across, *rest = (
-            [_short(value, digits) for value in column]
-            for column, digits in zip(numbers.T.tolist(), (5, 4, 4), strict=False)
+            _listed(column, form) for column, form in zip(numbers.T, ("%.5g", "%.4g", "%.4g"), strict=False)
         )
-        curves.append([mark.label, None if across == before else across, *rest])
+        curves.append(
+            f"[{','.join([json.dumps(mark.label, ensure_ascii=False), 'null' if across == before else across, *rest])}]"
+        )
         before = across
         if len(rest) > 1:
             fourth = ERROR if hasattr(mark, "error") else UPPER
     if not curves:
         return ""
-    text = json.dumps(
-        {"columns": ["curve", x, y, *([fourth] if fourth else [])], "curves": curves},
-        ensure_ascii=False,
-        separators=(",", ":"),
-    )
+    columns = json.dumps(["curve", x, y, *([fourth] if fourth else [])], ensure_ascii=False)
+    text = f'{{"columns":{columns},"curves":[{",".join(curves)}]}}'
     return f"<metadata>{text.replace('&', chr(92) + 'u0026').replace('<', chr(92) + 'u003c')}</metadata>"
 
 
@@ -63,9 +60,7 @@ def _numbers(values: ArrayLike) -> Array:
     return np.atleast_1d(np.asarray(values, dtype=float))
 
 
-def _short(value: float, digits: int) -> float | int | None:
-    """A number that JSON writes in few characters; None if it is not finite."""
-    if not np.isfinite(value):
-        return None
-    rounded = float(f"{value:.{digits}g}")
-    return int(rounded) if rounded == int(rounded) and abs(rounded) < 1e15 else rounded
+def _listed(values: Array, form: str) -> str:
+    """A list of numbers in JSON, which has null for what is not finite."""
+    text = ",".join([form] * values.size) % tuple(values.tolist())
+    return f"[{re.sub('-?(nan|inf)', 'null', text)}]"
