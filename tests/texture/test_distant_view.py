@@ -12,10 +12,10 @@ from brdfpipe import facets, vocabulary
 from brdfpipe.bsdf import lambert_gauss, microfacet
 from brdfpipe.errors import BrdfpipeError
 from brdfpipe.spectra import colorimetry
+from brdfpipe.texture.distant_view import structure_preview
 from brdfpipe.texture.picture_texture import of_pictures
 from brdfpipe.texture.scan_texture import facets_of, of_scan
 from brdfpipe.texture.sparkle import sparkle
-from brdfpipe.texture.structure_preview import structure_preview
 
 
 @pytest.fixture(scope="module")
