@@ -575,7 +575,7 @@ def _arrangements(load: str) -> Callable[[Subject], list[dict[str, str]]]:
         return [
             {"load": load, "side": item.side, "incidence": f"{item.incidence:g}"}
             for item in subject.arrangements
-            if item.load == load
+            if item.load == load and not item.again
         ]
 
     return wildcards

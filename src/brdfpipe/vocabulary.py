@@ -357,7 +357,11 @@ QUANTITIES: Mapping[str, Quantity] = {
     "transmitted": Quantity("1", "1 for a node of transmission, 0 for one of reflection", 0, 1),
     "lowest": Quantity("1", "smallest fitted value at a cell that was measured, or its logarithm"),
     "highest": Quantity("1", "largest fitted value at a cell that was measured, or its logarithm"),
-    "incidence_error": Quantity("1", "relative standard uncertainty of the BSDF predicted from one incidence, rms", 0),
+    "incidence_error": Quantity(
+        "1", "standard uncertainty of the logarithm of the BSDF in one direction of light, rms over wavelength", 0
+    ),
+    "error_angle": Quantity("degree", "angle from the mirror direction at which that uncertainty is known", 0, 180),
+    "error_azimuth": Quantity("degree", "azimuth about the mirror direction at which it is known", 0, 180),
     "log_halo": Quantity("1", "natural logarithm of the halo's transform [um2] over the phase variance"),
     "phase_variance": Quantity("1", "variance g of the phase that the heights give to reflected light", 0),
     "halo_frequency": Quantity("um-1", "spatial frequency that scatters light into a direction", 0),
@@ -506,6 +510,7 @@ QUANTITIES: Mapping[str, Quantity] = {
     "luminous_reflectance": Quantity("1", "total reflectance at 8 degree, weighted with V(λ) and D65", 0, missing=True),
     "flop_index": Quantity("1", "flop index", missing=True),
     "picture": Quantity("1", "sRGB picture of a material", 0, 255),
+    "picture_in": Quantity("1", "sRGB picture of a material in a further light", 0, 255),
     "srgb": Quantity("1", "sRGB preview colour", 0, 1, missing=True),
     # Plan of a scene
     "expected_error": Quantity(
@@ -805,7 +810,15 @@ KINDS: Mapping[str, Kind] = {
         attributes=("source", "pixel", "method", "seed"),
         missing=("theta_f",),
     ),
-    "preview": Kind({"picture": [("row", "column", "channel")]}, attributes=("illuminant", "light", "white_level")),
+    "preview": Kind(
+        {"picture": [("row", "column", "channel")]},
+        optional={
+            "picture_in": [("lighting", "row", "column", "channel")],
+            "light_of": [("lighting",)],
+            "illuminant_of": [("lighting",)],
+        },
+        attributes=("illuminant", "light", "white_level"),
+    ),
     "checks": Kind(
         {
             "reciprocity_residual": SCALAR,

@@ -43,7 +43,8 @@ DESCRIPTIONS: Mapping[str, Any] = {
 
 RIG_TEMPLATE = """\
 One camera rig. The values are those of a bench like the one of the Keldysh preprint; replace them by your own.
-docs/rig.md explains every key; `brdfpipe rig doctor rig.yaml` tries the devices."""
+docs/rig.md explains every key; `brdfpipe rig doctor rig.yaml` tries the devices.
+Without an angular target remove `target` here, and `target` from the `runs` of plan.yaml."""
 
 PLAN_TEMPLATE = """\
 One measurement of one sample. docs/rig.md explains every key.
@@ -140,7 +141,7 @@ def templates() -> dict[str, str]:
         "config/material.template.yaml": rendering.alternatives(
             material_keys.Material, MATERIAL_TEMPLATE, MATERIAL_BLOCKS
         ),
-        "config/rig.template.yaml": rendering.template(RigKeys, RIG_TEMPLATE),
+        "config/rig.template.yaml": rendering.template(RigKeys, RIG_TEMPLATE, included=("target",)),
         "config/plan.template.yaml": rendering.template(PlanKeys, PLAN_TEMPLATE),
     }
 

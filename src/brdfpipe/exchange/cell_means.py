@@ -11,7 +11,7 @@ import xarray as xr
 from brdfpipe.bsdf.grids import GRIDS
 from brdfpipe.bsdf.nonspectral import nonspectral
 from brdfpipe.bsdf.registry import representation
-from brdfpipe.bsdf.table_error import Evaluate, TableError, error_of, fresh_pairs
+from brdfpipe.bsdf.table_error import Evaluate, TableError, error_of, fresh_pairs, relative_errors
 from brdfpipe.bsdf.tabulation import values_on_nodes
 from brdfpipe.exchange.gridded import Channels
 from brdfpipe.exchange.records import Content
@@ -21,6 +21,10 @@ from brdfpipe.spectra import colorimetry
 _TEST_SEED = 2
 _GAUSS = 0.5 / np.sqrt(3)
 """Distance of the two Gauss-Legendre nodes from the centre of a cell of length 1."""
+
+
+_RECIPROCAL = 5e-3
+"""Error at the 95th percentile below which a BSDF counts as reciprocal."""
 
 
 @dataclass(frozen=True)
@@ -93,6 +97,23 @@ def displayable(values: Array) -> tuple[Array, dict[str, str]]:
     share = float((values < 0).any(axis=-1).mean())
     sentence = f"colours outside sRGB: in {share:.1%} of the cells a negative value of R, G or B became 0"
     return np.maximum(values, 0.0), {"gamut": sentence}
+
+
+def irreciprocity(bsdf: xr.Dataset) -> dict[str, str]:
+    """A sentence where values differ if both directions are exchanged, for programs that take the mean of both orders; measured tables are seldom reciprocal."""
+    plain = nonspectral(bsdf)
+    model, pairs = representation(plain), fresh_pairs(plain, _TEST_SEED)
+    pairs = pairs.chosen(pairs.theta_o < 90)
+    exchanged = model.evaluate(pairs.theta_o, pairs.phi_o, pairs.theta_i, pairs.phi_i, None)
+    given = model.evaluate(*pairs, None)
+    off = float(np.quantile(relative_errors((given + exchanged) / 2, given, pairs.theta_o), 0.95))
+    if off < _RECIPROCAL:
+        return {}
+    sentence = (
+        f"differences between both orders of the directions: the mean of both, which the program takes, is off by {off:.1%} of BRDF cos theta_o at the 95th "
+        "percentile, and no resolution takes that off"
+    )
+    return {"reciprocity": sentence}
 
 
 def table_error(bsdf: xr.Dataset, evaluate: Evaluate, *, transmission: bool = False) -> TableError:

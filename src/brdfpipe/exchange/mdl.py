@@ -89,7 +89,7 @@ def write(
     record = records.record(
         cell_means.CellTable(bsdf, values, error, reading, "rgb" if colour else "luminous", within), FORMAT
     )
-    record["left_out"] |= gamut
+    record["left_out"] |= gamut | cell_means.irreciprocity(bsdf)
     with store.atomic_path(path) as temporary, temporary.open("wb") as file:
         file.write(_MAGIC)
         for number, sentence in enumerate(records.sentences(record)):

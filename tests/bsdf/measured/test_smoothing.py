@@ -186,7 +186,7 @@ def test_common_errors_are_not_averaged_away():
     primary["brdf_u_certificate"] = (0.03 * primary["brdf_u"] / 0.01).assign_attrs(correlation="common")
     primary["brdf_u"] = np.hypot(primary["brdf_u_noise"], primary["brdf_u_certificate"])
     smoothed = smoothing.smooth(vocabulary.label(primary, "primary"))
-    assert list(smoothed["component"].values) == ["certificate"]
+    assert list(smoothed["component"].values) == ["certificate", "resolution"]
     u = smoothing.uncertainty(smoothed, *AT) / smoothing.evaluate(smoothed, *AT)
     assert float(u.median()) == pytest.approx(0.03, rel=0.03)
     alone = smoothing.smooth(rig_primary.measured(flat(0.3), noise=0.01))
@@ -284,7 +284,7 @@ def test_one_cell_is_a_constant_that_is_uncertain_elsewhere():
         for quantity in (smoothing.evaluate, smoothing.uncertainty)
     )
     assert value == pytest.approx(float(primary["brdf"][0, 0, 0]), rel=1e-6)
-    assert u[0] == pytest.approx(0.02 * 0.2, rel=0.01)
+    assert u[0] == pytest.approx(np.expm1(0.02) * 0.2, rel=0.01)
     assert u[0] < u[1] < u[2]
 
 
@@ -359,10 +359,30 @@ def test_the_warnings_of_the_cells_are_passed_on():
     assert "the lamp is old" in json.loads(smoothing.smooth(primary).attrs["warnings"])
 
 
-@pytest.mark.parametrize("count", [1, 2])
-def test_a_fit_without_a_cell_to_spare_says_so(count):
+@pytest.mark.parametrize("count", [1, 2, 6])
+def test_a_fit_of_few_cells_says_so(count):
     smoothed = smoothing.smooth(with_cells(rig_primary.measured(rig_primary.lobe("peak 10 sr-1, 3 degree")), count))
-    assert "as many parameters as cells with values" in smoothed.attrs["warnings"]
+    assert f"has only {count} cells with values" in smoothed.attrs["warnings"]
+
+
+def test_a_fit_without_a_cell_to_spare_says_so():
+    primary = with_cells(rig_primary.measured(rig_primary.lobe("peak 10 sr-1, 3 degree")), 2)
+    assert "as many parameters as cells with values" in smoothing.smooth(primary, "keldysh").attrs["warnings"]
+
+
+@pytest.mark.parametrize("count", [3, 4, 5, 6, 12])
+@pytest.mark.parametrize("name", ["peak 10 sr-1, 3 degree", "metallic, lobe of 14 degree"])
+def test_few_cells_do_not_understate_the_uncertainty(name, count):
+    truth, z = rig_primary.LOBES[name](*AT), []
+    for seed in range(6):
+        primary = rig_primary.measured(rig_primary.lobe(name), seed=seed)
+        seen = np.flatnonzero(np.isfinite(primary["brdf"].values[0, 0]))
+        lost = np.random.default_rng(seed).choice(seen, seen.size - count, replace=False)
+        primary["brdf"][:, :, lost] = np.nan
+        smoothed = smoothing.smooth(primary)
+        z.append((smoothing.evaluate(smoothed, *AT) - truth).values / smoothing.uncertainty(smoothed, *AT).values)
+    # With the covariance of the chosen strength it is above 10 for 6 cells, and above 100 for 3.
+    assert np.sqrt(np.mean(np.square(z))) < 1.3
 
 
 def test_a_strength_that_hardly_bounds_the_fit_is_warned_of():

@@ -25,18 +25,26 @@ if TYPE_CHECKING:
 
 DEGREE = 3
 GRAZING = (0.05, 0.15)  # scales in cos θ_o of the functions that describe the BSDF towards grazing
+GRAZING_HARMONICS = 1  # of φ
+GRAZING_WIDTH = 30.0  # distance from the mirror direction beyond which these harmonics have their full size [degree]
 FINE = (0, 1, 2, 4)
 """Harmonics with all knots: a lobe stretched along the plane of incidence needs even ones; others have every second knot."""
+_GRAZING_RESISTANCE = (
+    4.0  # of the harmonics of the functions of cos θ_o against a size above 0, over that of the functions themselves
+)
+_LOBE = 12.0  # distance from the mirror direction to which lobes are resolved [degree]
+_PLACES = 8  # places in an interval at which splines are compared
 _MOST_POINTS = 20_000  # largest number of points over the sphere: 1.4° apart
 _AZIMUTHAL = 5.0  # weight of curvature along φ over that along ϑ: lobes vary less around the mirror direction
 
 
 @dataclass(frozen=True)
 class PSpline:
-    """Tensor product of cubic B-splines in t = asinh(ϑ/scale) and harmonics of φ, and two functions of cos θ_o.
+    """Tensor product of cubic B-splines in t = asinh(ϑ/scale) and harmonics of φ, and two functions of cos θ_o with a few harmonics.
 
     Near a lobe t is a length, far from it the logarithm of one: evenly spaced knots fit lobes of any width. Smooth functions of ϑ and φ
-    cannot follow the BSDF towards grazing; the functions of cos θ_o do. The radial part of cos kφ starts with ϑ^k (up to the third power) and
+    cannot follow the BSDF towards grazing; the functions of cos θ_o do. They have harmonics of φ, because facets brighten grazing light on the
+    far side of the normal alone. The radial part of cos kφ starts with ϑ^k (up to the third power) and
     that of k = 0 without slope: so the sum is smooth at ϑ = 0. Roughness is the energy of a thin plate
     ∫ (η_tt² + 2ρ η_tφ²/τ² + ρ² η_φφ²/τ⁴) dt dφ/2π, τ = tanh t, which makes lengths along φ those along t. Only a constant has none.
 
@@ -48,13 +56,14 @@ class PSpline:
     scale: float = 3.0
     harmonics: int = 4
     symmetric: bool = True  # even about the plane of incidence: without sin kφ
+    grazing_harmonics: int = 0  # of the functions of cos θ_o
 
     @classmethod
     def default(cls, *, symmetric: bool = True) -> PSpline:
         """Knots 0.15 apart to 12° and 0.27 beyond: a Gaussian lobe of any width changes to its base within Δt ≈ 0.2."""
-        knee, end = np.arcsinh(12 / cls.scale), np.arcsinh(180 / cls.scale)
+        knee, end = np.arcsinh(_LOBE / cls.scale), np.arcsinh(180 / cls.scale)
         edges = [*np.linspace(0, knee, 15), *np.linspace(knee, end, 11)[1:]]
-        return cls(tuple(float(edge) for edge in edges), symmetric=symmetric)
+        return cls(tuple(float(edge) for edge in edges), symmetric=symmetric, grazing_harmonics=GRAZING_HARMONICS)
 
     @cached_property
     def orders(self) -> NDArray[np.int64]:
@@ -68,14 +77,23 @@ class PSpline:
         sizes = [self._radial(k, np.zeros(1)).shape[1] for k in range(self.harmonics + 1)]
         cosines = np.repeat(np.arange(self.harmonics + 1), sizes)
         sines = np.empty(0, dtype=int) if self.symmetric else cosines[cosines > 0]
-        return np.concatenate([cosines, sines, np.zeros(len(GRAZING), dtype=int)])
+        return np.concatenate([cosines, sines, np.repeat(self.grazing_orders, len(GRAZING))])
+
+    @cached_property
+    def grazing_orders(self) -> NDArray[np.int64]:
+        """(grazing harmonics,) k of cos kφ, then without symmetry of sin kφ, of the functions of cos θ_o."""
+        cosines = np.arange(self.grazing_harmonics + 1)
+        return cosines if self.symmetric else np.concatenate([cosines, cosines[1:]])
 
     def rows(self, theta: Array, phi: Array, cosine: Array) -> Array:
         """The functions (directions, terms) at ϑ and φ [degree] and cos θ_o of the same directions."""
         t = np.arcsinh(np.asarray(theta) / self.scale)
         splines = {fine: self._splines(fine, t).toarray() for fine in (True, False)}
         blocks = [self._smooth_at_0(k, splines[k in FINE]) * wave[:, None] for k, wave in self._harmonics(phi)]
-        return np.concatenate([*blocks, _grazing(cosine)], axis=1)
+        grazing = _grazing(cosine)
+        return np.concatenate(
+            [*blocks, *(grazing * wave[:, None] for _, wave in self._grazing_waves(theta, phi))], axis=1
+        )
 
     def sums(self, coefficient: Array, theta: Array, phi: Array, cosine: Array, even: Array, odd: Array) -> Array:
         """Sums (directions, any) of the functions with coefficients (terms, any), weighted by ``even`` or ``odd`` (directions,) by k.
@@ -84,7 +102,11 @@ class PSpline:
         """
         t = np.arcsinh(np.asarray(theta) / self.scale)
         splines = {fine: self._splines(fine, t) for fine in (True, False)}
-        total = _grazing(cosine) @ coefficient[-len(GRAZING) :] * even[:, None]
+        total = np.zeros((t.size, coefficient.shape[1]))
+        grazing, first = _grazing(cosine), coefficient.shape[0] - len(GRAZING) * self.grazing_orders.size
+        for number, (k, wave) in enumerate(self._grazing_waves(theta, phi)):
+            own = coefficient[first + number * len(GRAZING) :][: len(GRAZING)]
+            total += grazing @ own * (wave * (odd if k % 2 else even))[:, None]
         for (k, wave), own in zip(self._harmonics(phi), self.of_all_splines(coefficient), strict=True):
             total += (splines[k in FINE] @ own) * (wave * (odd if k % 2 else even))[:, None]
         return total
@@ -101,6 +123,23 @@ class PSpline:
             parts.append(np.concatenate([before, own]))
         return parts
 
+    @cached_property
+    def coarser(self) -> Array:
+        """Matrix (terms, fewer) to the coefficients from those of the same functions with every second knot in the lobe, which these contain."""
+        from scipy.interpolate import BSpline
+        from scipy.linalg import block_diag
+
+        lobe = int(np.searchsorted(self.edges, np.arcsinh(_LOBE / self.scale) + 1e-9))
+        edges = np.concatenate([self.edges[:lobe:2], self.edges[lobe:]])
+        knots = np.concatenate([edges[:1].repeat(DEGREE), edges, edges[-1:].repeat(DEGREE)])
+        t = np.linspace(self.edges[0], self.edges[-1], _PLACES * len(self.edges))
+        coarse = BSpline.design_matrix(t, knots, DEGREE).toarray()
+        blocks = []
+        for k in self.orders.tolist():
+            own = self._smooth_at_0(k, self._splines(k in FINE, t).toarray())
+            blocks.append(np.linalg.lstsq(own, self._smooth_at_0(k, coarse))[0] if k in FINE else np.eye(own.shape[1]))
+        return np.asarray(block_diag(*blocks, np.eye(len(GRAZING) * self.grazing_orders.size)))
+
     def roughness(self, theta: Array, phi: Array) -> Array:
         """Rows D (any, terms); the cells at ϑ and φ do not matter to this basis."""
         t, weight = panel_rule(self.edges, 4)
@@ -115,13 +154,18 @@ class PSpline:
             blocks += blocks[1:]
         from scipy.linalg import block_diag
 
-        return np.asarray(block_diag(*blocks, np.eye(len(GRAZING))))
+        grazing = np.where(self.grazing_orders == 0, 1.0, _GRAZING_RESISTANCE).repeat(len(GRAZING))
+        return np.asarray(block_diag(*blocks, np.diag(grazing)))
 
     def _harmonics(self, phi: Array) -> Iterator[tuple[int, Array]]:
         """k, and cos kφ or sin kφ, of :attr:`orders`."""
-        azimuth = np.radians(phi)
-        for number, k in enumerate(self.orders.tolist()):
-            yield k, np.cos(k * azimuth) if number <= self.harmonics else np.sin(k * azimuth)
+        return _waves(self.orders, self.harmonics, phi)
+
+    def _grazing_waves(self, theta: Array, phi: Array) -> Iterator[tuple[int, Array]]:
+        """The same of :attr:`grazing_orders`, which vanish at ϑ = 0 as the k-th power of ϑ."""
+        rise = np.asarray(theta) / np.hypot(theta, GRAZING_WIDTH)
+        for k, wave in _waves(self.grazing_orders, self.grazing_harmonics, phi):
+            yield k, wave * rise**k
 
     def _radial(self, k: int, t: Array, derivative: int = 0) -> Array:
         return self._smooth_at_0(k, self._splines(k in FINE, t, derivative).toarray())
@@ -216,6 +260,13 @@ class Keldysh:
         k, sine = azimuthal.T
         angle = np.radians(np.asarray(phi, dtype=float))[:, None] * k - np.where(sine, np.pi / 2, 0.0)
         return np.cos(angle)[:, which.ravel()], (-k * np.sin(angle))[:, which.ravel()]
+
+
+def _waves(orders: NDArray[np.int64], cosines: int, phi: Array) -> Iterator[tuple[int, Array]]:
+    """k, and cos kφ, or sin kφ behind the constant and as many ``cosines``."""
+    azimuth = np.radians(phi)
+    for number, k in enumerate(orders.tolist()):
+        yield k, np.cos(k * azimuth) if number <= cosines else np.sin(k * azimuth)
 
 
 def _grazing(cosine: Array) -> Array:

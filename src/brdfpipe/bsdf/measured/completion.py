@@ -14,10 +14,11 @@ from numpy.typing import NDArray
 from brdfpipe import vocabulary
 from brdfpipe.bsdf.measured import basis as bases
 from brdfpipe.bsdf.measured.basis import Basis
-from brdfpipe.bsdf.measured.coordinates import cell_angles
+from brdfpipe.bsdf.measured.coordinates import cell_angles, outgoing
 from brdfpipe.bsdf.measured.evaluation import REPRESENTATION, evaluate, lobe_slope, uncertainty
 from brdfpipe.bsdf.measured.node_interpolation import interpolation_abscissa
 from brdfpipe.bsdf.measured.reciprocity import with_contradictions
+from brdfpipe.bsdf.measured.resolution import RESOLUTION
 from brdfpipe.errors import VocabularyError
 from brdfpipe.geometry import Array
 from brdfpipe.hemisphere import around_mirror
@@ -26,14 +27,19 @@ from brdfpipe.specular_directions import cos_view
 NORMAL = ("even-quadratic", "linear")
 """How normal incidence is extrapolated from the first two incidences; ``linear``, 2 η₁₀ − η₂₀, is as printed."""
 
-_AVERAGED_DIRECTIONS, _AVERAGED_WAVELENGTHS = 64, 5  # over which the error of one incidence is averaged
+_AVERAGED_WAVELENGTHS = 5  # over which the error of one direction of light is averaged
+_ERROR_ANGLES = np.array([0.0, 0.7, 1.5, 2.5, 4, 6, 9, 12, 16, 22, 30, 40, 55, 75, 100, 130, 180])
+_ERROR_AZIMUTHS = np.array([0.0, 45.0, 90.0, 135.0, 180.0])
+"""Angles from the mirror direction, and azimuths about it, at which that error is known [degree]."""
+_NEAR_NODE = 0.7  # distance from an incidence at which it is known too [degree]
+_LEAST_ERROR = 1e-6
 _HIDDEN_RADIUS = 1.0  # distance [degree] of the first cell from the mirror direction above which the entrance hides it
 _FILLED_ANGLES = 6  # angles in the hidden region at which the extrapolation counts as measured
 _EXTRAPOLATION_U = 0.02  # relative standard uncertainty of the extrapolation to normal incidence itself
 _TREND_STEPS = (4.0, 3.0, 2.0, 1.0, 0.5, 0.25, 0.0)
 """How far the trend is continued beyond the last incidence, in steps between the last two: the first value that conserves energy."""
 _GRAZING = 85.0  # largest incidence to which the trend is continued [degree]
-_HIGHEST = 80.0  # largest θ_o of the averaged directions [degree]
+_LOWEST = 89.5  # largest θ_o at which the error of one direction of light is taken [degree]
 _ENTRANCE_ERROR = "path"  # the uncertainty component that is common to an incidence and independent between incidences
 _LAY_WARNING = (
     "The BSDF was smoothed as that of a surface with a lay. It is valid only in the plane of incidence that was measured; for the "
@@ -282,10 +288,9 @@ def _fill_hidden_region(nodes: _Nodes, others: _Nodes, basis: Basis, radius: flo
         factor = nodes.factor[0, wavelength]
         before = np.block([[noise, rows @ factor], [np.zeros((factor.shape[0], noise.shape[1])), factor]])
         after = np.asarray(np.linalg.qr(before.T, mode="r")).T
-        innovation = expected - rows @ nodes.coefficient[0, wavelength]
-        nodes.coefficient[0, wavelength] += after[_FILLED_ANGLES:, :_FILLED_ANGLES] @ np.linalg.solve(
-            after[:_FILLED_ANGLES, :_FILLED_ANGLES], innovation
-        )
+        gain = np.linalg.solve(after[:_FILLED_ANGLES, :_FILLED_ANGLES].T, after[_FILLED_ANGLES:, :_FILLED_ANGLES].T).T
+        nodes.coefficient[0, wavelength] += gain @ (expected - rows @ nodes.coefficient[0, wavelength])
+        nodes.common[0, wavelength] += gain @ (rows @ (others.common[0, wavelength] - nodes.common[0, wavelength]))
         updated = after[_FILLED_ANGLES:, _FILLED_ANGLES:]
         factor[:] = 0.0
         factor[:, : updated.shape[1]] = updated
@@ -373,18 +378,25 @@ def _with_history(bsdf: xr.Dataset, sides: list[xr.Dataset], nodes: list[_Nodes]
 
 
 def _with_incidence_error(bsdf: xr.Dataset) -> xr.Dataset:
-    """Add the relative uncertainty of the BSDF at each incidence, rms over directions and a few wavelengths."""
-    own = bsdf["incidence"].values[bsdf["transmitted"].values == 0]
-    theta = np.union1d(np.append(np.arange(0.0, 90.0, 2.5), 89.9), own)
-    sequence = np.arange(1, _AVERAGED_DIRECTIONS + 1)[:, None] * np.array([0.7548776662466927, 0.5698402909980532]) % 1
-    theta_o = np.degrees(np.arcsin(np.sqrt(sequence[:, 0]) * np.sin(np.radians(_HIGHEST))))
-    theta_i, phi_i, theta_o, phi_o = np.broadcast_arrays(theta[:, None], 0.0, theta_o, 360 * sequence[:, 1])
+    """Add the uncertainty of the logarithm in one direction of light, rms over a few wavelengths, without errors common to all incidences."""
+    reflected = bsdf.isel(node=np.flatnonzero(bsdf["transmitted"].values == 0))
+    one_way = bsdf.assign_attrs(reciprocity="none", transmission="none")
+    if "coefficient_common" in bsdf:
+        own = [name for name in bsdf["component"].values if str(name).startswith((_ENTRANCE_ERROR, RESOLUTION))]
+        one_way = one_way.sel(component=own) if own else one_way.drop_dims("component")
+    node = reflected["incidence"].values
+    near = (node[:, None] + np.array([-_NEAR_NODE, 0.0, _NEAR_NODE])).ravel()
+    theta = np.unique(np.concatenate([np.arange(0.0, 90.0, 5.0), near[(near > 0) & (near < 89.0)], [89.9]]))
+    theta_i, angle, azimuth = np.meshgrid(theta, _ERROR_ANGLES, _ERROR_AZIMUTHS, indexing="ij")
+    theta_o, phi_o = outgoing(bsdf.attrs["about"], theta_i.ravel(), angle.ravel(), azimuth.ravel())
     indices = np.linspace(0, bsdf.sizes["wavelength"] - 1, _AVERAGED_WAVELENGTHS).round().astype(int)
     few = bsdf["wavelength"].values[np.unique(indices)]
-    value = evaluate(bsdf, theta_i, phi_i, theta_o, phi_o, few)
-    u = uncertainty(bsdf, theta_i, phi_i, theta_o, phi_o, few)
-    relative = np.minimum(u / np.maximum(value, 1e-30), 1.0)
-    error = np.sqrt((relative**2).mean(axis=(1, 2)))
+    # Directions below the horizon are needed only to interpolate up to it.
+    at = theta_i.ravel(), np.zeros(theta_o.size), np.minimum(theta_o, _LOWEST), phi_o, few
+    relative = uncertainty(one_way, *at) / np.maximum(evaluate(one_way, *at), 1e-30)
+    error = np.sqrt((np.log1p(relative) ** 2).mean(axis=-1)).reshape(theta_i.shape)
+    dims = ("theta_i", "error_angle", "error_azimuth")
+    coords = dict(zip(dims, (theta, _ERROR_ANGLES, _ERROR_AZIMUTHS), strict=True))
     return vocabulary.label(
-        bsdf.assign_coords(theta_i=theta).assign(incidence_error=("theta_i", np.maximum(error, 1e-6))), "bsdf"
+        bsdf.assign_coords(coords).assign(incidence_error=(dims, np.maximum(error, _LEAST_ERROR))), "bsdf"
     )

@@ -18,18 +18,13 @@ from numpy.typing import NDArray
 
 from brdfpipe import vocabulary
 from brdfpipe.bsdf.measured import coordinates
+from brdfpipe.bsdf.measured.node_errors import side_uncertainties
 from brdfpipe.bsdf.measured.node_interpolation import (
-    TINY,
     LobeCoordinates,
     PathDirection,
     Side,
-    coordinates_at_node,
-    interpolation_abscissa,
     lobe_coordinates,
-    node_contributions,
-    node_weights,
     path_directions,
-    path_values,
     side_values,
 )
 from brdfpipe.geometry import Array, unit_vector
@@ -48,9 +43,6 @@ ACCURACY = 1e-4
 
 _CHUNK = 8192  # directions evaluated at a time, to limit memory
 _SAME_INCIDENCE = 0.5  # incidences within this distance of a node count as measured there [degree]
-_LARGEST_ERROR = float(np.log(10.0))  # upper limit of the error of a logarithm
-_HORIZON_ERROR = 0.5  # relative error, beyond the last cell, of a decrease with cos θ_o as below a dielectric face
-_ERROR_RANGE = 10.0  # distance from a single incidence at which the logarithm is uncertain by 1 [degree]
 
 
 @dataclass(frozen=True)
@@ -81,7 +73,7 @@ class Prepared:
     def uncertainty(self, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array) -> Array:
         """See :func:`uncertainty`."""
         angles = theta_i, phi_i, theta_o, phi_o
-        return np.hypot(_over_sides(_uncertainties, self, angles), self._spectral_error(angles))
+        return np.hypot(_over_sides(side_uncertainties, self, angles), self._spectral_error(angles))
 
     def _spectral_error(self, angles: tuple[Array, Array, Array, Array]) -> Array | float:
         """Error of the linear interpolation between wavelengths (directions…, wavelength); 0 at those of the dataset.
@@ -247,114 +239,6 @@ def _pairs_by_side(
     at = np.flatnonzero((theta_i > 90) & above_o)
     if at.size:
         yield True, at, (theta_o[at], 180 - theta_i[at], -phi[at])
-
-
-# --- uncertainties
-
-
-def _uncertainties(side: Side, theta_i: Array, theta_o: Array, phi: Array) -> Array:
-    """Standard uncertainty (directions, wavelength)."""
-    paths = path_directions(side, theta_i, theta_o, phi)
-    rows: dict[int, Array] = {}
-    odd = side.basis.harmonic % 2 == 1
-    for part in node_contributions(side, paths):
-        # A coefficient may contribute to both path directions: its errors add before they are squared.
-        total = rows.setdefault(part.node, np.zeros((theta_i.size, side.coefficient.shape[2])))
-        total[part.pairs] += side.basis.rows(*part.coordinates) * np.where(odd, part.odd[:, None], part.even[:, None])
-    variance = np.zeros((theta_i.size, side.coefficient.shape[1]))
-    common = np.zeros((side.common.shape[0], *variance.shape))
-    for node, total in rows.items():
-        for wavelength, factor in enumerate(side.factor[node]):
-            variance[:, wavelength] += ((total @ factor) ** 2).sum(axis=1)
-        if common.size:
-            common += total @ np.swapaxes(side.common[:, node], 1, 2)
-    variance += (common**2).sum(axis=0)
-    model_error = np.zeros_like(variance)
-    for path in paths:
-        # Both path directions may have the same error: in the mirror direction they coincide.
-        model_error += path.weight[:, None] * _model_error(side, path)
-    value = path_values(side, paths)
-    model_error = np.hypot(model_error, _reciprocity_error(side, paths))
-    if side.logarithmic:
-        return value * np.sqrt(variance + model_error**2)
-    return np.sqrt(variance + (value * model_error) ** 2)
-
-
-def _reciprocity_error(side: Side, paths: list[PathDirection]) -> Array | float:
-    """Relative error of the mean of two path directions that disagree (directions, wavelength)."""
-    if len(paths) == 1:
-        return 0.0
-    forward, backward = (
-        np.log(np.maximum(path_values(side, [path._replace(weight=np.ones_like(path.weight))]), TINY)) for path in paths
-    )
-    weight = np.sqrt(paths[0].weight * paths[1].weight)[:, None]
-    return weight * np.minimum(np.abs(forward - backward), _LARGEST_ERROR)
-
-
-def _model_error(side: Side, path: PathDirection) -> Array:
-    """Relative error of interpolation and extrapolation over incidence, and below the horizon (directions, wavelength)."""
-    lobe = lobe_coordinates(side, path)
-    below_horizon = np.zeros((path.theta_i.size, side.coefficient.shape[1]))
-    for node in range(side.incidence.size):
-        weight = node_weights(side, node, path.theta_i)[0]
-        pairs = np.flatnonzero(weight > 0)
-        clamped, below = coordinates_at_node(side, node, lobe.select(pairs))
-        changed = np.flatnonzero(below)
-        if changed.size:
-            continued, _ = coordinates_at_node(side, node, lobe.select(pairs[changed]), clamped=False)
-            change = np.abs(_logarithm(side, node, continued) - _logarithm(side, node, clamped.select(changed)))
-            cosine_ratio = np.cos(np.radians(side.horizon[node])) / np.maximum(lobe.cosine[pairs[changed]], TINY)
-            change = np.hypot(change, _HORIZON_ERROR * np.log(np.maximum(cosine_ratio, 1.0))[:, None])
-            below_horizon[pairs[changed]] += weight[pairs[changed], None] * change
-    over_incidence = _interpolation_error(side, path, lobe)
-    return np.expm1(np.minimum(np.hypot(below_horizon, over_incidence), _LARGEST_ERROR))
-
-
-def _interpolation_error(side: Side, path: PathDirection, lobe: LobeCoordinates) -> Array:
-    """Error of the logarithm between and beyond the measured incidences (directions, wavelength)."""
-    nodes = np.flatnonzero(side.measured.any(axis=1))
-    logarithms = np.stack(
-        [_logarithm(side, node, coordinates_at_node(side, node, lobe)[0]) for node in map(int, nodes)]
-    )
-    error = np.empty(logarithms.shape[1:])
-    # A wavelength without a measurement at an incidence is interpolated there.
-    for known in np.unique(side.measured[nodes], axis=1).T:
-        wavelengths = (side.measured[nodes] == known[:, None]).all(axis=0)
-        own = logarithms[known][:, :, wavelengths]
-        error[:, wavelengths] = _newton_remainder(side, nodes[known], own, path.theta_i)
-    return error
-
-
-def _newton_remainder(side: Side, nodes: NDArray[np.int64], logarithms: Array, theta_i: Array) -> Array:
-    """Next term of Newton's formula (directions, wavelength), from the logarithms of some nodes (node, directions, wavelength)."""
-    nodes_x, x = side.abscissa[nodes], interpolation_abscissa(theta_i)
-    if nodes.size < 2:
-        # A wavelength that no incidence was measured at is as uncertain as one measured at normal incidence alone.
-        known = side.incidence[nodes[0]] if nodes.size else 0.0
-        distance = np.abs(theta_i - known) / _ERROR_RANGE
-        return np.broadcast_to(distance[:, None], logarithms.shape[1:])
-    slope = np.diff(logarithms, axis=0) / np.diff(nodes_x)[:, None, None]
-    first = np.clip(np.searchsorted(nodes_x, x, side="right") - 1, 0, nodes.size - 2)
-    index = np.arange(x.size)
-    if nodes.size == 2:
-        bend = np.abs(slope[0]) / (nodes_x[1] - nodes_x[0])
-    else:
-        bends = np.diff(slope, axis=0) / (nodes_x[2:] - nodes_x[:-2])[:, None, None]
-        before, after = np.maximum(first - 1, 0), np.minimum(first, nodes.size - 3)
-        bend = np.maximum(np.abs(bends[before, index]), np.abs(bends[after, index]))
-    error = np.abs((x - nodes_x[first]) * (x - nodes_x[first + 1]))[:, None] * bend
-    if nodes.size > 3:  # beyond the last node the next term can be as large
-        change = np.abs(bends[-1] - bends[-2]) / (nodes_x[-1] - nodes_x[-4])
-        error += (np.maximum(x - nodes_x[-1], 0.0) * np.prod(x[:, None] - nodes_x[-3:-1], axis=1))[:, None] * change
-    # Beyond the last node the BSDF is constant, and the continued trend is the error.
-    return np.asarray(error + np.maximum(x - side.abscissa[-1], 0.0)[:, None] * np.abs(slope[-1]))
-
-
-def _logarithm(side: Side, node: int, lobe: LobeCoordinates) -> Array:
-    """Logarithm of the BSDF of a node (directions, wavelength)."""
-    one = np.ones_like(lobe.theta)
-    value = side.basis.sums(side.coefficient[node].T, *lobe, one, one)
-    return value if side.logarithmic else np.log(np.maximum(value, 1e-6 * np.abs(value).max(initial=TINY)))
 
 
 # --- quality

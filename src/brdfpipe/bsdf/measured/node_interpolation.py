@@ -20,12 +20,13 @@ from brdfpipe import vocabulary
 from brdfpipe.bsdf.measured import basis as bases
 from brdfpipe.bsdf.measured import coordinates, node_kernel
 from brdfpipe.bsdf.measured.basis import Basis, PSpline
-from brdfpipe.bsdf.measured.node_kernel import Nodes
+from brdfpipe.bsdf.measured.node_arrays import Covariances, Nodes
+from brdfpipe.bsdf.measured.node_kernel import ERROR_SCALE
 from brdfpipe.geometry import Array
 
 TINY = 1e-30
 
-_MARGIN = float(np.log(2.0))
+MARGIN = float(np.log(2.0))
 """Largest excess of the logarithm over the values fitted at cells: a lobe is higher between cells, and a spline is unbounded beyond them."""
 
 
@@ -45,8 +46,8 @@ class Side:
     basis: Basis
     about: str
     logarithmic: bool
-    incidence_error: tuple[Array, Array] | None
-    """θ_i, and the relative error of the BSDF from there; None where the two directions of light are not averaged."""
+    path_error: PathError | None
+    """None where the two directions of light are not averaged."""
 
     @classmethod
     def of(cls, bsdf: xr.Dataset, transmitted: bool, wavelengths: NDArray[np.int64] | slice) -> Side:
@@ -72,7 +73,7 @@ class Side:
             basis,
             "mirror" if transmitted else str(bsdf.attrs["about"]),
             bsdf.attrs["link"] == "log",
-            (bsdf["theta_i"].values, bsdf["incidence_error"].values) if averaged else None,
+            PathError.of(bsdf) if averaged else None,
         )
 
     @cached_property
@@ -88,7 +89,41 @@ class Side:
     @cached_property
     def arrays(self) -> Nodes | None:
         """For :mod:`~brdfpipe.bsdf.measured.node_kernel`; None unless a logarithm was fitted with P-splines."""
-        return Nodes.of(self, self.basis, _MARGIN) if self.logarithmic and isinstance(self.basis, PSpline) else None
+        return Nodes.of(self, self.basis, MARGIN) if self.logarithmic and isinstance(self.basis, PSpline) else None
+
+    @cached_property
+    def covariances(self) -> Covariances | None:
+        """The same; None also where incidences were measured at some wavelengths alone."""
+        return Covariances.of(self, self.basis) if self.arrays and isinstance(self.basis, PSpline) else None
+
+
+class PathError(NamedTuple):
+    """Standard uncertainty of the logarithm of the BSDF in one direction of light; linear in its coordinates, constant beyond their ends."""
+
+    theta_i: Array  # (incidence,) radian, rising
+    t: Array  # (angle,) asinh of ϑ over :data:`ERROR_SCALE`, rising
+    cosine: Array  # (azimuth,) cos φ, rising
+    error: Array  # (incidence, angle, azimuth)
+
+    @classmethod
+    def of(cls, bsdf: xr.Dataset) -> PathError:
+        """Of a dataset of kind ``bsdf``."""
+        field = bsdf["incidence_error"].sortby("error_azimuth", ascending=False)
+        return cls(
+            np.radians(field["theta_i"].values),
+            np.arcsinh(field["error_angle"].values / ERROR_SCALE),
+            np.cos(np.radians(field["error_azimuth"].values)),
+            np.ascontiguousarray(field.values, dtype=float),
+        )
+
+    def at(self, theta_i: Array, lobe: LobeCoordinates) -> Array:
+        """Interpolated, of the shape of the angles [degree]."""
+        from scipy.interpolate import RegularGridInterpolator
+
+        axes = self.theta_i, self.t, self.cosine
+        places = np.radians(theta_i), np.arcsinh(lobe.theta / ERROR_SCALE), np.cos(np.radians(lobe.phi))
+        inside = [np.clip(place, axis[0], axis[-1]) for place, axis in zip(places, axes, strict=True)]
+        return np.asarray(RegularGridInterpolator(axes, self.error)(np.stack(np.broadcast_arrays(*inside), axis=-1)))
 
 
 class PathDirection(NamedTuple):
@@ -98,6 +133,8 @@ class PathDirection(NamedTuple):
     theta_o: Array
     phi: Array
     weight: Array
+    error: Array
+    """Standard uncertainty of the logarithm in this direction, as of :class:`PathError`; 0 without averaging"""
 
 
 class LobeCoordinates(NamedTuple):
@@ -128,11 +165,16 @@ def interpolation_abscissa(theta_i: Array | float) -> Array:
 
 def path_directions(side: Side, theta_i: Array, theta_o: Array, phi: Array) -> list[PathDirection]:
     """The two directions of light along a path; the sum of their weights is 1. One direction if they are not averaged."""
-    if side.incidence_error is None:
-        return [PathDirection(theta_i, theta_o, phi, np.ones(np.shape(theta_i)))]
-    forward, backward = (np.interp(theta, *side.incidence_error) ** 2 for theta in (theta_i, theta_o))
-    weight = backward / (forward + backward)
-    return [PathDirection(theta_i, theta_o, phi, weight), PathDirection(theta_o, theta_i, -phi, 1 - weight)]
+    one_way = PathDirection(theta_i, theta_o, phi, np.ones(np.shape(theta_i)), np.zeros(np.shape(theta_i)))
+    if side.path_error is None:
+        return [one_way]
+    paths = [one_way, PathDirection(theta_o, theta_i, -phi, one_way.weight, one_way.error)]
+    forward, backward = (side.path_error.at(path.theta_i, lobe_coordinates(side, path)) for path in paths)
+    weight = backward**2 / (forward**2 + backward**2)
+    return [
+        path._replace(weight=share, error=error)
+        for path, share, error in zip(paths, (weight, 1 - weight), (forward, backward), strict=True)
+    ]
 
 
 def side_values(side: Side, theta_i: Array, theta_o: Array, phi: Array) -> Array:
@@ -160,7 +202,7 @@ def path_values(side: Side, paths: list[PathDirection]) -> Array:
         geometric[pairs] += even * np.log(np.maximum(value, TINY))
         positive[pairs] &= (value > 0) | (even == 0)
     if side.logarithmic:
-        return np.exp(np.minimum(np.maximum(total, low - _MARGIN), high + _MARGIN))
+        return np.exp(np.minimum(np.maximum(total, low - MARGIN), high + MARGIN))
     return np.where(positive, np.exp(geometric), np.maximum(total, 0.0))
 
 

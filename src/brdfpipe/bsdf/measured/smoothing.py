@@ -20,6 +20,7 @@ from brdfpipe.bsdf.measured.agreement import symmetry_warnings
 from brdfpipe.bsdf.measured.basis import Basis, Keldysh, PSpline
 from brdfpipe.bsdf.measured.coordinates import ABOUT, cell_angles
 from brdfpipe.bsdf.measured.least_squares import Decomposition, StandardForm
+from brdfpipe.bsdf.measured.resolution import RESOLUTION, unresolved
 from brdfpipe.errors import VocabularyError
 from brdfpipe.geometry import Array, check_angles
 from brdfpipe.specular_directions import cos_view
@@ -33,6 +34,8 @@ _FINEST_SUPPORT = 3.0
 """Smallest support of the Keldysh basis's finest scale [degree]: two standard deviations of a narrow lobe, and a few cells."""
 _ORDERS = 9
 """Number of its polynomials: five, as printed, leave errors of 9 % in a narrow lobe once n − k is even; more scales do not help."""
+_FEW_CELLS = 10, 40
+"""Numbers of cells up to which cross-validation tells nothing of the roughness between them, and from which it tells all."""
 _PASSES = 12
 _CONVERGED = 0.1  # change of the fit, in standard uncertainties, above which another pass follows
 _LARGEST_STEP = 3.0  # of the logarithm in a pass: far from a value the exponential differs from its tangent
@@ -71,6 +74,7 @@ class _Fit(NamedTuple):
     residual: Array  # (wavelength, cell) over the uncertainty; missing where unused
     used: NDArray[np.bool_]  # (all wavelengths,) those with values
     zeros: int  # missing values that were stored as zero
+    resolution: Array | None  # (wavelength, terms of the basis) change by what cells and knots do not resolve
 
     @property
     def chi_squared_dof(self) -> Array:
@@ -132,8 +136,15 @@ def smooth(
     elif about is None:
         about = _better_coordinates(primary, cells, basis, isotropic)
     forms = [_standard_form(primary, basis, about, at, isotropic) for at in range(len(cells))]
+    coarser = [
+        _standard_form(primary, basis, about, at, isotropic, coarse=True) if isinstance(basis, PSpline) else None
+        for at in range(len(cells))
+    ]
     preprint_weights = np.sqrt(_ring_weights(primary["theta_s"].values)) if mode == "keldysh-printed" else None
-    fits = [_fit(form, values, mode, strength, preprint_weights) for form, values in zip(forms, cells, strict=True)]
+    fits = [
+        _fit(form, values, mode, strength, preprint_weights, other)
+        for form, values, other in zip(forms, cells, coarser, strict=True)
+    ]
     link = "log" if mode == "pspline" else "identity"
     attrs = {name: primary.attrs[name] for name in ("history", "warnings") if name in primary.attrs}
     attrs |= {"mode": mode, "link": link, "about": about, "basis": bases.to_json(basis), "side": side}
@@ -157,7 +168,10 @@ def uncertainty(smoothed: xr.Dataset, theta_s: ArrayLike, phi_s: ArrayLike) -> x
     if "coefficient_common" in smoothed:
         common = smoothed["coefficient_common"].values
         variance += ((rows[:, None] @ common[..., None])[..., 0] ** 2).sum(axis=0)
-    u = np.sqrt(variance) * (values if smoothed.attrs["link"] == "log" else 1.0)
+    u = np.sqrt(variance)
+    if smoothed.attrs["link"] == "log":
+        # The error to the larger side: a value that is far too low is within it.
+        u = values * np.expm1(np.minimum(u, _LARGEST_EXPONENT))
     return _over_directions(smoothed, u, "standard uncertainty of the BSDF")
 
 
@@ -244,8 +258,10 @@ def _basis(mode: str, primary: xr.Dataset, symmetric: bool, scales: int | None) 
     return Keldysh(domain, scales or int(np.log2(domain / _FINEST_SUPPORT)) + 1, _ORDERS, symmetric=symmetric)
 
 
-def _standard_form(primary: xr.Dataset, basis: Basis, about: str, at: int, isotropic: bool) -> StandardForm:
-    """The basis at the cells of an incidence; without φ at normal incidence if isotropic."""
+def _standard_form(
+    primary: xr.Dataset, basis: Basis, about: str, at: int, isotropic: bool, *, coarse: bool = False
+) -> StandardForm:
+    """The basis at the cells of an incidence, or that with every second knot; without φ at normal incidence if isotropic."""
     incidence, theta, phi = float(primary["incidence"][at]), primary["theta_s"].values, primary["phi_s"].values
     angles = cell_angles(about, incidence, theta, phi)
     rows, roughness = basis.rows(*angles, cos_view(incidence, theta, phi)), basis.roughness(*angles)
@@ -254,9 +270,12 @@ def _standard_form(primary: xr.Dataset, basis: Basis, about: str, at: int, isotr
         weight = np.sqrt(_ring_weights(theta) / bases.solid_angles(theta, phi))
         roughness = roughness * np.concatenate([weight, weight])[:, None]
     terms = (basis.harmonic == 0) | (incidence > 0) | printed | (not isotropic)
-    form = StandardForm.of(rows[:, terms], roughness[:, terms])
-    to_basis = np.zeros((terms.size, form.to_basis.shape[1]))
-    to_basis[terms] = form.to_basis
+    finer = np.eye(terms.size)[:, terms]
+    if coarse and isinstance(basis, PSpline):
+        finer = basis.coarser * terms[:, None]
+        finer = finer[:, finer.any(axis=0)]
+    form = StandardForm.of(rows @ finer, roughness @ finer)
+    to_basis = finer @ form.to_basis
     return StandardForm(form.rows, form.free, to_basis)
 
 
@@ -286,7 +305,14 @@ def _better_coordinates(primary: xr.Dataset, cells: list[_CellValues], basis: Ba
 # --- the fit of one incidence
 
 
-def _fit(form: StandardForm, cells: _CellValues, mode: str, strength: float | None, printed: Array | None) -> _Fit:
+def _fit(
+    form: StandardForm,
+    cells: _CellValues,
+    mode: str,
+    strength: float | None,
+    printed: Array | None,
+    coarser: StandardForm | None,
+) -> _Fit:
     """Fit one incidence. Exact zeros among bright cells are left out; among dim cells they may be noise, and count."""
     used = np.asarray(np.isfinite(cells.u).any(axis=1))
     value, u, common = cells.value[used], cells.u[used], cells.common[:, used]
@@ -303,7 +329,9 @@ def _fit(form: StandardForm, cells: _CellValues, mode: str, strength: float | No
     u = np.where(missing, np.inf, u)
     if (np.isfinite(u) != np.isfinite(without_zeros)).any():
         solution = solve(u)
-    factor = solution.problems.covariance_factor(solution.strength)
+    factor = solution.problems.covariance_factor(
+        _strength_of_uncertainty(solution) if mode == "pspline" else solution.strength
+    )
     weight = _weight(u, printed)
     # Common errors δz change the solution by its covariance times Bᵀ W² δz.
     squared_weight = solution.fitted / u**2 if mode == "pspline" else weight**2
@@ -313,7 +341,19 @@ def _fit(form: StandardForm, cells: _CellValues, mode: str, strength: float | No
         gain = factor @ (np.swapaxes(factor, 1, 2) @ (form.rows.T * (weight**2 * _finite(u))[:, None, :]))
         factor = np.swapaxes(np.asarray(np.linalg.qr(np.swapaxes(gain, 1, 2), mode="r")), 1, 2)
     residual = np.where(np.isfinite(u), (value - solution.fitted) / _finite(u, 1.0), np.nan)
-    return _Fit(solution, factor, shift, residual, used, int(missing.sum()))
+    resolution = None
+    if coarser is not None:
+        working = solution.fitted / u, _working_response(value, solution.fitted)
+        resolution = unresolved(coarser, solution.problems, *working, solution.strength)
+    return _Fit(solution, factor, shift, residual, used, int(missing.sum()), resolution)
+
+
+def _strength_of_uncertainty(solution: _Solution) -> float:
+    """The strength of the covariance: of few cells that of the roughest BSDF, because they cannot tell how rough it is between them."""
+    cells = float(solution.problems.counts.max(initial=0.0))
+    known = float(np.clip((cells - _FEW_CELLS[0]) / (_FEW_CELLS[1] - _FEW_CELLS[0]), 0.0, 1.0))
+    roughest = min(solution.strength, float(_STRENGTHS[0]))
+    return float(roughest ** (1 - known) * solution.strength**known)
 
 
 def _weight(u: Array, printed: Array | None) -> Array:
@@ -403,7 +443,10 @@ def _dataset(primary: xr.Dataset, fits: list[_Fit]) -> xr.Dataset:
     terms, width = fits[0].solution.problems.form.to_basis.shape[0], max(fit.factor.shape[2] for fit in fits)
     coefficient = np.full((*shape, terms), np.nan)
     factor = np.zeros((*shape, terms, width), dtype=np.float32)
-    common = np.full((fits[0].shift.shape[0], *shape, terms), np.nan)
+    components = [*_components(primary, "common")]
+    if fits[0].resolution is not None:
+        components.append(RESOLUTION)
+    common = np.full((len(components), *shape, terms), np.nan)
     residual, chi_squared_dof = np.full((*shape, primary.sizes["cell"]), np.nan), np.full(shape, np.nan)
     for at, fit in enumerate(fits):
         to_basis = fit.solution.problems.form.to_basis
@@ -412,7 +455,9 @@ def _dataset(primary: xr.Dataset, fits: list[_Fit]) -> xr.Dataset:
         inflation = np.sqrt(np.maximum(np.nan_to_num(fit.chi_squared_dof), 1.0))
         factor[at, fit.used, :, : fit.factor.shape[2]] = to_basis @ (fit.factor * inflation[:, None, None])
         factor[at, ~fit.used] = np.nan
-        common[:, at, fit.used] = fit.shift @ to_basis.T
+        common[: len(fit.shift), at, fit.used] = fit.shift @ to_basis.T
+        if fit.resolution is not None:
+            common[-1, at, fit.used] = fit.resolution
         residual[at, fit.used], chi_squared_dof[at, fit.used] = fit.residual, fit.chi_squared_dof
     smoothed = xr.Dataset(
         {
@@ -426,7 +471,7 @@ def _dataset(primary: xr.Dataset, fits: list[_Fit]) -> xr.Dataset:
         coords={name: primary[name].variable for name in _CELL_COORDINATES if name in primary.coords},
     )
     if common.size:
-        smoothed = smoothed.assign_coords(component=[*_components(primary, "common")])
+        smoothed = smoothed.assign_coords(component=components)
         smoothed["coefficient_common"] = (("component", "incidence", "wavelength", "term"), common)
     return vocabulary.label(smoothed, "smoothed")
 
@@ -481,7 +526,12 @@ def _with_notes(smoothed: xr.Dataset, fits: list[_Fit], strength: float | None) 
             f"{empty} of {smoothed['chi_squared_dof'].size} fits, one for each incidence and wavelength, have no cell with a value."
         )
     for fit, incidence in zip(fits, smoothed["incidence"].values, strict=True):
-        if fit.used.any() and np.isnan(fit.chi_squared_dof).any():
+        if mode == "pspline" and fit.used.any() and fit.solution.problems.counts.max() < _FEW_CELLS[0]:
+            warnings.append(
+                f"The fit at {incidence:g}° has only {fit.solution.problems.counts.max():g} cells with values, which do not tell how far off it is "
+                "between them: its uncertainty is that of the roughest BSDF. Measure more cells."
+            )
+        elif fit.used.any() and np.isnan(fit.chi_squared_dof).any():
             warnings.append(
                 f"The fit at {incidence:g}° has as many parameters as cells with values: nothing tells how far off it is between them, and its "
                 "uncertainty there is too small. Measure more cells."

@@ -39,7 +39,7 @@ class Measured(Representation):
         },
         optional={
             "coefficient_common": [("component", "node", spectral, "term") for spectral in _WAVELENGTHS],
-            "incidence_error": [("theta_i",)],
+            "incidence_error": [("theta_i", "error_angle", "error_azimuth")],
             "mixture": [("mixed",)],
         },
         attributes=("link", "about", "basis", "reciprocity", "transmission"),

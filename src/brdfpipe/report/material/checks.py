@@ -10,8 +10,8 @@ import xarray as xr
 
 from brdfpipe import vocabulary
 from brdfpipe.appearance.verdicts import check_verdicts, json_object
-from brdfpipe.exchange.records import errors_in_words
-from brdfpipe.exchange.registry import FORMATS, PROPERTIES
+from brdfpipe.exchange.records import errors_in_brief
+from brdfpipe.exchange.registry import FORMATS, LOSSES
 from brdfpipe.report.cards import Section, Table
 from brdfpipe.report.formatting import quantity
 from brdfpipe.texture.file_names import MAP_FILES
@@ -88,11 +88,11 @@ def _exported(dataset: xr.Dataset) -> tuple[str, ...]:
     if refusals := vocabulary.warnings(dataset):
         return f"{format}: none", side, described, refusals[0], ""
     named = json_object(dataset.attrs["records"])
-    errors = {file: "; ".join(errors_in_words(record)) for file, record in named.items()}
+    errors = {file: errors_in_brief(record) for file, record in named.items()}
     if len(set(errors.values())) > 1:
         errors = {file: f"{file}: {text}" for file, text in errors.items()}
     stated = "; ".join(dict.fromkeys(errors.values()))
-    lost = dict.fromkeys(PROPERTIES[key] for record in named.values() for key in record.get("left_out", {}))
+    lost = dict.fromkeys(LOSSES[key] for record in named.values() for key in record.get("left_out", {}))
     return ", ".join(json_object(dataset.attrs["files"])), side, described, stated, "; ".join(lost)
 
 

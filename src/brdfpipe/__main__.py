@@ -1,0 +1,3 @@
+from brdfpipe.cli.main import main
+
+main()
