@@ -1,8 +1,6 @@
-"""The texture of an effect paint from pictures, its files, and the BRDF with it."""
+"""The texture of an effect paint from pictures, and the BRDF with it."""
 
 from __future__ import annotations
-
-import json
 
 import numpy as np
 import pytest
@@ -14,7 +12,6 @@ from brdfpipe import vocabulary
 from brdfpipe.bsdf import flake
 from brdfpipe.bsdf.registry import representation
 from brdfpipe.errors import BrdfpipeError
-from brdfpipe.texture.picture_files import write_pictures
 from brdfpipe.texture.picture_texture import nearest_geometry, of_files, of_pictures
 from brdfpipe.texture.textured import Textured
 
@@ -76,19 +73,6 @@ def test_the_mean_over_a_tile_is_the_brdf_and_the_nearest_flake_angle_gives_the_
         light = texture["relative_light"].sel(geometry=geometry).values
         assert values.reshape(192, 192) == pytest.approx(whole * light, rel=1e-5, abs=1e-9)
     assert nearest_geometry(texture, np.array([0.0, 9.0, 40.0])).tolist() == [0, 0, 1]
-
-
-def test_files_hold_the_light_over_its_mean(texture, tmp_path):
-    record = write_pictures(texture, tmp_path, "paint")
-    assert json.loads((tmp_path / "paint.texture.json").read_text()) == record
-    for number, listed in enumerate(record["textures"]):
-        with Image.open(tmp_path / listed["png"]["file"]) as picture:
-            light = np.asarray(picture)[::-1] / 65535 * listed["png"]["light_at_65535"]
-        wanted = texture["relative_light"].values[number].astype(float)
-        assert light == pytest.approx(wanted, abs=wanted.max() / 65535)
-        assert (tmp_path / listed["exr"]["file"]).is_file()
-    write_pictures(texture.isel(geometry=[0]), tmp_path, "paint")
-    assert len(list(tmp_path.iterdir())) == 3
 
 
 def test_pictures_are_read_from_files_with_their_warnings(tmp_path):

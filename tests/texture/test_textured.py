@@ -67,6 +67,12 @@ def test_a_place_is_bright_where_its_normal_mirrors_the_light(gaussian):
     assert level > representation(full).evaluate(*np.zeros((4, 1)), None)[0, 0] > steep
 
 
+def test_the_accessor_of_a_bsdf_evaluates_with_places(gaussian):
+    full, texture, rest = gaussian
+    at = 45.0, 20.0, 30.0, 200.0, [10.0, 20.0], 5.0
+    assert full.bsdf.textured(texture, rest).evaluate(*at).equals(Textured(full, texture, rest).evaluate(*at))
+
+
 def test_tiles_repeat(gaussian):
     textured = Textured(*gaussian)
     side = gaussian[1].attrs["pixel"] * gaussian[1].sizes["x"]

@@ -88,8 +88,17 @@ def _sparkles(texture: xr.Dataset) -> Table:
         ("illumination_range", "Illumination"),
         ("spectrum_difference", "Spectrum"),
     )
+    shares = ("illumination_range", "spectrum_difference")
     rows = [
-        (str(geometry), *(number(float(texture[name].values[row]), 3) for name, _ in columns))
+        (
+            str(geometry),
+            *(
+                f"{100 * float(texture[name].values[row]):.1f} %"
+                if name in shares
+                else number(float(texture[name].values[row]), 3)
+                for name, _ in columns
+            ),
+        )
         for row, geometry in enumerate(texture["geometry"].values)
     ]
     threshold, distance = float(texture.attrs["sparkle_threshold"]), float(texture.attrs["graininess_distance"])
