@@ -83,6 +83,9 @@ def test_a_finished_run_has_nothing_left(whole: Path) -> None:
     state = WatchedRun(whole).state()
     assert (state.status, state.seconds_left) == ("finished", 0)
     assert state.finished == state.frames
+    # The dark frames at the end show nothing.
+    assert state.last is not None
+    assert not state.last.dark
 
 
 def test_warnings_are_those_of_the_journal_the_latest_last(run: Path) -> None:

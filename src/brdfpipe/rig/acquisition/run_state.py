@@ -49,7 +49,7 @@ class RunState:
     seconds_left: float
     """Of the missing frames, and of the arrangements that are still to be made."""
     last: Shot | None
-    """The last frame that was taken; None before the first."""
+    """The last frame with light that was taken, or the last dark one before it; None before the first."""
     warnings: tuple[str, ...]
     """What the journal notes, the latest last."""
 
@@ -89,7 +89,7 @@ class WatchedRun:
             finished=len(wanted) - len(missing),
             frames=len(wanted),
             seconds_left=sum(self._seconds[shot] for shot in missing) + ARRANGEMENT_TIME * len(arrangements),
-            last=taken[-1] if taken else None,
+            last=next((shot for shot in reversed(taken) if not shot.dark), taken[-1] if taken else None),
             warnings=tuple(_warnings(events))[-_MOST_WARNINGS:],
         )
 
