@@ -1,6 +1,6 @@
 """Write the example materials: synthetic, seeded, the same bytes on every run.
 
-``python examples/generate.py`` (or ``make examples``) writes the three materials beside this file anew. A benchmark imports
+``python examples/generate.py`` (or ``make examples``) writes the materials beside this file anew. A benchmark imports
 :func:`write_materials` and asks for variants: other seeds, heights within 20 %, other colours.
 
 Nothing here was measured. The textures imitate what a profilometer sees on such parts, so that every route of the workflow
@@ -9,6 +9,11 @@ has something to work on:
 ``abs-grain``   areal map (X3P) + spectrum (text) + index: a leather-like grain with a fine texture, black
 ``pp-moulding`` line profile (text) + spectrum (text) + index: an eroded mould, beige
 ``paint-lab``   a colour L*a*b* alone
+
+:func:`write_textures` writes two further ones, whose visible structure is computed beside the BRDF:
+
+``leather-texture``    areal map (X3P) of cells under a fine roughness, with its grain as a tileable map
+``sparkling-texture``  colours at three geometries, and pictures of flakes at two of them and in diffuse light
 """
 
 from __future__ import annotations
@@ -21,6 +26,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from brdfpipe.surfaces import write_x3p
+from brdfpipe.texture.png import png_bytes
 from brdfpipe.vocabulary import label
 
 Array = NDArray[np.float64]
@@ -50,6 +56,99 @@ def write_materials(folder: Path, variant: int = 0) -> list[Path]:
         write(material, np.random.default_rng([seed, variant]), float(variant > 0))
         written.append(material)
     return written
+
+
+def write_textures(folder: Path) -> list[Path]:
+    """Write the examples with a texture into a catalogue; return their folders."""
+    written = []
+    for seed, (name, write) in enumerate(_TEXTURES.items(), start=100):
+        material = Path(folder) / name
+        material.mkdir(parents=True, exist_ok=True)
+        write(material, np.random.default_rng(seed))
+        written.append(material)
+    return written
+
+
+def write_leather_texture(material: Path, random: np.random.Generator) -> None:
+    """A leather grain with cells of about 120 um under the fine roughness of an etched mould: 224 x 224 heights at 3 um."""
+    count, pitch = 224, 3.0
+    ridges = _noise(random, (count, count), pitch, lambda k: np.exp(-(((k - 2 * np.pi / 120) / 0.012) ** 2)))
+    creases = -np.exp(-((ridges / 0.45) ** 2))
+    fine = _noise(random, (count, count), pitch, lambda k: np.exp(-((k * 10) ** 2) / 8))
+    height = _with_slope(creases, 0.12, pitch) + _with_slope(fine, 0.14, pitch)
+    _write_map(material / "leather.x3p", height - height.mean(), pitch)
+    _write_description(
+        material,
+        f"""\
+# A leather grain that an eye sees as structure, and a gloss that it does not resolve.
+description: "Leather grain with its texture ({ORIGIN})"
+
+surface:
+  file: leather.x3p
+
+index: PP
+
+# The colour: L*, a*, b* under D65 for the 10 degree observer, specular included.
+spectrum:
+  lab: [34.0, 3.0, 6.0]
+  illuminant: D65
+  observer: 10
+  geometry: sci
+
+# A tileable map of what pixels of 9 um resolve, made of pieces of the scan; the BRDF of the rest goes with it.
+texture:
+  pixel: 9
+  size: 256
+  method: structure
+  seed: 1
+""",
+    )
+
+
+def write_sparkling_texture(material: Path, random: np.random.Generator) -> None:
+    """An effect paint: discs of 40 um whose tilts are spread by 5 degree, drawn at two geometries and in diffuse light, 192 x 192 pixels of 20 um."""
+    size, count = 192, 900
+    tilt = random.normal(scale=5.0, size=(2, count))
+    rows, columns = random.integers(0, size, (2, count))
+    distance = np.hypot(*np.meshgrid(*[np.minimum(np.arange(size), size - np.arange(size))] * 2))
+    disc = np.clip(1.5 - distance / 1.5, 0.0, 1.0)
+    # The camera and the illumination: vignetting, a slight gradient, and read-out noise.
+    x = np.linspace(-1, 1, size)
+    illumination = 1 - 0.1 * (x**2 + x[:, None] ** 2) + 0.05 * x
+    for name, at, lobe, body in (("45as15", 2.0, 2.0, 0.05), ("45as45", 7.0, 2.0, 0.03), ("diffuse", 0.0, 15.0, 0.6)):
+        points = np.zeros((size, size))
+        np.add.at(points, (rows, columns), np.exp(-((tilt[0] - at) ** 2 + tilt[1] ** 2) / (2 * lobe**2)))
+        light = np.fft.irfft2(np.fft.rfft2(points) * np.fft.rfft2(disc), s=points.shape) + body
+        light = light * illumination + 0.002 * random.standard_normal((size, size))
+        # Of 12 bits, so that the last bits of a processor's arithmetic do not reach the file.
+        steps = np.rint(np.clip(light / light.max(), 0, 1) * 4000).astype(np.uint16) * 16
+        (material / f"{name}.png").write_bytes(png_bytes(steps))
+    _write_description(
+        material,
+        f"""\
+# A metallic paint whose flakes are seen one by one: colours for the BRDF, pictures for the texture.
+description: "Metallic paint with sparkles ({ORIGIN})"
+
+multiangle:
+  colours:
+    - {{geometry: 45as15, lab: [78.0, 0.0, -2.0]}}
+    - {{geometry: 45as45, lab: [42.0, 0.5, -3.0]}}
+    - {{geometry: 45as110, lab: [24.0, 0.5, -3.5]}}
+  illuminant: D65
+  observer: 10
+
+# Pictures along the normal, 16 bits, proportional to the light.
+texture:
+  pictures:
+    - {{file: 45as15.png, geometry: 45as15}}
+    - {{file: 45as45.png, geometry: 45as45}}
+    - {{file: diffuse.png, geometry: diffuse}}
+  pixel: 20
+  curve: linear
+  size: 256
+  seed: 1
+""",
+    )
 
 
 def write_abs_grain(material: Path, random: np.random.Generator, spread: float) -> None:
@@ -153,6 +252,12 @@ _EXAMPLES: dict[str, Callable[[Path, np.random.Generator, float], None]] = {
 }
 
 
+_TEXTURES: dict[str, Callable[[Path, np.random.Generator], None]] = {
+    "leather-texture": write_leather_texture,
+    "sparkling-texture": write_sparkling_texture,
+}
+
+
 def _noise(
     random: np.random.Generator, shape: tuple[int, ...], pitch: float, amplitude: Callable[[Array], Array]
 ) -> Array:
@@ -192,5 +297,5 @@ def _write(path: Path, text: str) -> None:
 
 
 if __name__ == "__main__":
-    for made in write_materials(Path(__file__).parent):
+    for made in [*write_materials(Path(__file__).parent), *write_textures(Path(__file__).parent)]:
         print(made.name)

@@ -12,8 +12,12 @@ EXAMPLES = ("abs-grain", "metallic-blue", "paint-lab", "pp-moulding")
 
 
 def build_examples(base: Path) -> None:
-    # What a camera rig measured is built by the tests of the rig.
-    others = shutil.ignore_patterns("*.py", "__pycache__", "calibrations", "milk-glass", "metallic-paint", "opal-glass")
+    # What a camera rig measured is built by the tests of the rig, and textures by a test of their own.
+    rig, textures = (
+        ("calibrations", "milk-glass", "metallic-paint", "opal-glass"),
+        ("leather-texture", "sparkling-texture"),
+    )
+    others = shutil.ignore_patterns("*.py", "__pycache__", *rig, *textures)
     shutil.copytree(PROJECT / "examples", base / "catalogue", ignore=others)
     summary = build_catalogue(base / "catalogue", base / "results", cores=2)
     assert summary.failures == {}

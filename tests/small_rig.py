@@ -77,9 +77,13 @@ class FakeMonochromator:
     state: float = 0.0
     moves: list[float] = field(default_factory=list)
     report: Callable[[float], float] = lambda state: state
+    settings: dict[str, str] = field(default_factory=dict)
 
     def identify(self) -> str:
         return "fake monochromator"
+
+    def describe(self) -> dict[str, str]:
+        return self.settings
 
     def goto(self, wavelength: float) -> float:
         self.moves.append(wavelength)
@@ -102,6 +106,9 @@ class FakeWheel:
 
     def identify(self) -> str:
         return "fake wheel"
+
+    def describe(self) -> dict[str, str]:
+        return {}
 
     def goto(self, position: int) -> int:
         self.moves.append(position)

@@ -81,7 +81,7 @@ def test_the_example_of_the_grain_runs(tmp_path: Path, monkeypatch: pytest.Monke
     shutil.copy(PROJECT / "examples" / "abs-grain" / "grain.x3p", tmp_path)
     monkeypatch.chdir(tmp_path)
     assert run("docs/texture.md", {})
-    assert len(list(Path("maps").iterdir())) == 3
+    assert len(list(Path("maps").iterdir())) == 5
 
 
 @pytest.mark.parametrize("page", ["exchange", "metrics", "veiling-glare"])

@@ -17,6 +17,7 @@ from . import rig as rig
 from . import spectra as spectra
 from . import store as store
 from . import surfaces as surfaces
+from . import texture as texture
 from . import vocabulary as vocabulary
 from .bsdf import flake as flake
 from .bsdf import microfacet as microfacet

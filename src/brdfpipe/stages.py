@@ -41,6 +41,7 @@ from brdfpipe.scenes import geometries
 from brdfpipe.scenes.domain import Domain
 from brdfpipe.scenes.results import PARTS, RESULTS
 from brdfpipe.store import canonical_json
+from brdfpipe.texture.file_names import MAP_FILES, PICTURE_FILES, RENDERER_FILES, TEXTURED_FORMATS
 
 if TYPE_CHECKING:
     from brdfpipe.catalogue.calibration import Calibration
@@ -273,6 +274,11 @@ def _multiple_scattering(subject: Subject) -> str:
     return "none" if named == "auto" and not allowed else named
 
 
+_GRAIN = Condition(
+    "`texture.pixel` of a scan",
+    lambda subject: "texture" in subject.owner.content and "pictures" not in subject.section("texture"),
+)
+
 _TRACED_REFLECTIONS = Condition(
     "`model.multiple_scattering: auto` or measured",
     lambda subject: _multiple_scattering(subject) in ("auto", "measured"),
@@ -501,6 +507,23 @@ def _part_of_table(subject: Subject) -> dict[str, Any]:
     return part
 
 
+def _texture(subject: Subject, wildcards: Wildcards) -> dict[str, Any]:
+    """The keys of the texture, and the distance from which the scene sees it."""
+    distance = None if subject.scene is None else subject.scene.content.get("viewing_distance")
+    return dict(subject.section("texture")) | ({} if distance is None else {"distance": distance})
+
+
+def _picture_texture(subject: Subject, wildcards: Wildcards) -> dict[str, Any]:
+    """The keys of the texture, with the geometries of its files."""
+    given = {key: value for key, value in subject.section("texture").items() if key != "pictures"}
+    return given | {"geometries": [picture["geometry"] for picture in subject.section("texture")["pictures"]]}
+
+
+def _textured_formats(subject: Subject) -> list[str]:
+    """The formats of the exports that can refer to maps."""
+    return [name for name in TEXTURED_FORMATS if name in subject.exports]
+
+
 def _gloss_readings(subject: Subject, wildcards: Wildcards) -> dict[str, Any]:
     measured = subject.section("measured")
     stated = {"gloss_u": u} if (u := measured["uncertainty"].get("gloss")) is not None else {}
@@ -552,7 +575,7 @@ def _arrangements(load: str) -> Callable[[Subject], list[dict[str, str]]]:
         return [
             {"load": load, "side": item.side, "incidence": f"{item.incidence:g}"}
             for item in subject.arrangements
-            if item.load == load
+            if item.load == load and not item.again
         ]
 
     return wildcards
@@ -997,6 +1020,36 @@ _STAGES = (
         when=_asked("lambert_gauss"),
         keys=_config_block("lambert_gauss"),
         kind="bsdf",
+    ),
+    Stage(
+        "texture",
+        "the grain of the surface as a tileable map, and the facets that its pixels do not resolve",
+        when=_GRAIN & _asked("texture"),
+        keys=StageKeys(("texture",), (), _texture),
+        beside=tuple(f"{{scene}}{{material}}/exports/{{material}}{end}" for end in MAP_FILES),
+        memory=2000,
+        minutes=1,
+    ),
+    Stage(
+        "picture_texture",
+        "the texture of an effect paint from pictures, with its sparkle and graininess",
+        when=Condition("`texture.pictures`", lambda subject: "pictures" in subject.owner.content.get("texture", {}))
+        & _asked("texture"),
+        keys=StageKeys(("texture",), (), _picture_texture),
+        kind="texture",
+        beside=tuple(f"{{scene}}{{material}}/exports/{{material}}{end}" for end in PICTURE_FILES),
+        memory=2000,
+        minutes=1,
+    ),
+    Stage(
+        "unresolved",
+        "the BSDF of what the pixels of a texture do not resolve, and materials of renderers with both",
+        when=_GRAIN & _asked("texture"),
+        keys=StageKeys(("exports",), (), lambda subject, _: {"formats": _textured_formats(subject)}),
+        kind="bsdf",
+        beside=tuple(f"{{scene}}{{material}}/exports/{{material}}{end}" for end in RENDERER_FILES),
+        memory=1500,
+        minutes=1,
     ),
     *(export.stage for export in EXPORTS),
     Stage(

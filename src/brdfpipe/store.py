@@ -32,9 +32,9 @@ SOFTWARE = ("brdfpipe", "netCDF4", "numpy", "scipy", "xarray")
 _NOT_IN_DIGEST = ("digest", "software")
 
 
-_MOST_SHARED, _MOST_SHARED_BYTES = 4, 64 * 2**20
-"""Number and size of the datasets that :func:`shared_dataset` keeps. What is prepared from a BSDF may be larger than itself: 30 MB for a measured
-surface."""
+_MOST_SHARED, _MOST_SHARED_BYTES = 2, 64 * 2**20
+"""Number and size of the datasets that :func:`shared_dataset` keeps: a material's BSDF, and another that it is compared with. What is prepared from
+a BSDF may be larger than itself: 40 MB for a predicted surface."""
 
 _shared: OrderedDict[tuple[int, ...], xr.Dataset] = OrderedDict()
 """By what identifies the content of a file, the least recently used first."""

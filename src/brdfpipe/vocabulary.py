@@ -394,6 +394,37 @@ QUANTITIES: Mapping[str, Quantity] = {
         "1", "reflectance by which the coherent part is reduced, so that no light is gained", 0
     ),
     "energy_residual": Quantity("1", "share of the light that coherent part and halo miss of Fresnel's reflectance", 0),
+    # Texture beside the BRDF
+    "texture_frequency": Quantity("um-1", "spatial frequency of a ring in the power spectrum of a texture", 0),
+    "sample_psd": Quantity("um4", "power spectral density of the heights of a scan on the pixels of its texture", 0),
+    "tile_psd": Quantity("um4", "power spectral density of the heights of a texture", 0),
+    "relative_light": Quantity("1", "light of a texture over its mean, which is that of the BRDF", 0),
+    "sample_contrast_psd": Quantity("um2", "power spectral density of the relative light of a picture", 0),
+    "tile_contrast_psd": Quantity("um2", "power spectral density of the relative light of a texture", 0),
+    "quantile": Quantity("1", "share of the places of a picture that are darker", 0, 1),
+    "light_quantile": Quantity("1", "relative light of a picture that a share of its places does not exceed", 0),
+    "illumination_range": Quantity("1", "largest illumination of a picture over the least, less 1; divided out", 0),
+    "sparkle_density": Quantity("mm-2", "sparkles of a picture per area", 0),
+    "sparkle_area": Quantity("um2", "mean area of a sparkle", 0),
+    "sparkle_contrast": Quantity("1", "mean of the peaks of the sparkles over the background, less 1", 0),
+    "graininess": Quantity("1", "rms contrast of the pattern of a picture that an eye sees at the distance stated", 0),
+    "tile_sparkle_density": Quantity("mm-2", "sparkles of a texture per area", 0),
+    "tile_graininess": Quantity("1", "the same rms contrast of a texture", 0),
+    "unresolved_share": Quantity(
+        "1", "share of the mean square slope that the pixels of a texture do not resolve", 0, 1
+    ),
+    "split_difference": Quantity(
+        "1", "share of the facets at other slopes when those of a texture and of the rest are put together", 0, 1
+    ),
+    "spectrum_difference": Quantity(
+        "1",
+        "largest relative difference of the power spectra of texture and sample up to half the Nyquist frequency",
+        0,
+    ),
+    "value_difference": Quantity(
+        "1", "largest difference of the cumulated distributions of values, Kolmogorov's", 0, 1
+    ),
+    "slope_difference": Quantity("1", "the same of the differences of neighbouring pixels", 0, 1),
     # Uncertain inputs of a prediction
     "change_theta": Quantity("degree", "incidence at which the change of an albedo is known", 0, 90),
     "change_phase": Quantity("1", "phase variance at which the change of a halo is known", 0),
@@ -480,6 +511,7 @@ QUANTITIES: Mapping[str, Quantity] = {
     "luminous_reflectance": Quantity("1", "total reflectance at 8 degree, weighted with V(λ) and D65", 0, missing=True),
     "flop_index": Quantity("1", "flop index", missing=True),
     "picture": Quantity("1", "sRGB picture of a material", 0, 255),
+    "picture_in": Quantity("1", "sRGB picture of a material in a further light", 0, 255),
     "srgb": Quantity("1", "sRGB preview colour", 0, 1, missing=True),
     # Plan of a scene
     "expected_error": Quantity(
@@ -759,7 +791,35 @@ KINDS: Mapping[str, Kind] = {
         },
     ),
     "export": Kind({}, attributes=("format", "side", "files", "records")),
-    "preview": Kind({"picture": [("row", "column", "channel")]}, attributes=("illuminant", "light", "white_level")),
+    "texture": Kind(
+        {},
+        optional={
+            "height": [("y", "x")],
+            **{key: [("texture_frequency",)] for key in ("sample_psd", "tile_psd")},
+            **dict.fromkeys(("unresolved_share", "split_difference"), SCALAR),
+            **{key: [(), ("geometry",)] for key in ("spectrum_difference", "value_difference", "slope_difference")},
+            "relative_light": [("geometry", "y", "x")],
+            "sample_contrast_psd": [("geometry", "texture_frequency")],
+            "tile_contrast_psd": [("geometry", "texture_frequency")],
+            "light_quantile": [("geometry", "quantile")],
+            **{key: [("geometry",)] for key in ("theta_f", "illumination_range", "graininess", "tile_graininess")},
+            **{
+                key: [("geometry",)]
+                for key in ("sparkle_density", "sparkle_area", "sparkle_contrast", "tile_sparkle_density")
+            },
+        },
+        attributes=("source", "pixel", "method", "seed"),
+        missing=("theta_f",),
+    ),
+    "preview": Kind(
+        {"picture": [("row", "column", "channel")]},
+        optional={
+            "picture_in": [("lighting", "row", "column", "channel")],
+            "light_of": [("lighting",)],
+            "illuminant_of": [("lighting",)],
+        },
+        attributes=("illuminant", "light", "white_level"),
+    ),
     "checks": Kind(
         {
             "reciprocity_residual": SCALAR,

@@ -10,7 +10,7 @@ from brdfpipe.appearance.lights import LIGHTS, WHITE_LEVEL, LightError, Lights, 
 
 def test_an_unknown_light_is_refused_with_those_known():
     with pytest.raises(
-        LightError, match=r"unknown light 'candle'; accepted: studio, sun, overcast; set `preview_light`"
+        LightError, match=r"unknown light 'candle'; accepted: studio, sun, overcast, spot, tubes; set `preview_light`"
     ):
         lights("candle")
 
@@ -36,7 +36,7 @@ def test_the_lookup_table_agrees_with_the_lights(name, blur):
     environment = lights(name)
     directions, _ = sphere_rule(50_000)
     x, y, z = (directions[:, k, None].astype(np.float32) for k in range(3))
-    filtered = environment.filtered(x, y, z, np.array([blur]))[:, 0]
+    filtered = environment.filtered(x, y, z, np.array([blur]))[0, :, 0]
     expected = environment.radiance(directions, blur)
     # The nearest texel errs at the edges of boxes, to either side; few of the directions meet the sun's.
     assert filtered.mean() == pytest.approx(expected.mean(), rel=4e-3)
@@ -47,7 +47,7 @@ def test_nadir_and_zenith_are_in_the_lookup_table():
     filtered = Lights((), zenith=2.0, ground=0.5).filtered
     z = np.array([[1.0], [-1.0]], dtype=np.float32)
     zero = np.zeros((2, 1), dtype=np.float32)
-    assert filtered(zero, zero, z, np.zeros(1))[:, 0] == pytest.approx([2.0, 0.5], rel=1e-3)
+    assert filtered(zero, zero, z, np.zeros(1))[0, :, 0] == pytest.approx([2.0, 0.5], rel=1e-3)
 
 
 def test_an_even_sky_is_exposed_to_the_white_level():

@@ -12,9 +12,10 @@ from PIL import Image
 from brdfpipe import facets, optics, vocabulary
 from brdfpipe.appearance import preview_geometry as shots
 from brdfpipe.appearance.lights import WHITE_LEVEL, LightError
-from brdfpipe.appearance.preview import png, preview, tone
+from brdfpipe.appearance.preview import OTHER_LIGHTS, channels_of, png, preview, tone
 from brdfpipe.bsdf import lambert_gauss, microfacet, slab
 from brdfpipe.spectra import colorimetry
+from brdfpipe.spectra.recovery import recover
 
 
 def black(a):
@@ -32,6 +33,20 @@ def test_a_perfect_white_reaches_the_white_level_and_no_more():
     white = 255 * float(colorimetry.encoded_srgb(WHITE_LEVEL))
     # The brightest of 400 normals sets the exposure.
     assert sphere(picture).max() == pytest.approx(white, abs=1.0)
+
+
+@pytest.mark.parametrize("lab", [(38, 22, 15), (45, 60, 40), (50, 70, 50), (30, 30, -60), (80, 5, 85)])
+def test_a_saturated_colour_is_that_of_steps_of_5_nm(lab):
+    """Wavelengths 20 nm apart. The sum over 5 nm is tested against colour-science."""
+    spectrum = recover(lab, illuminant="D65", observer=10)
+    wavelength, channels = channels_of(lambert_gauss.lambertian(spectrum))
+    found = spectrum["total_reflectance"].interp(wavelength=wavelength).values @ channels
+    whole = spectrum["wavelength"].values, spectrum["total_reflectance"].values
+    xyz = colorimetry.reflectance_to_xyz(*whole, "D65", 2)
+    wanted = colorimetry.srgb_from_xyz(colorimetry.weights("D65", 2).white) @ xyz
+    # A hundredth of the weakest channel, which is outside sRGB of one.
+    assert wavelength.size == 16
+    assert found == pytest.approx(wanted, rel=0.01)
 
 
 @pytest.mark.parametrize("illuminant", ["D65", "A", "FL2"])
@@ -58,7 +73,7 @@ def test_the_same_material_gives_the_same_bytes():
 def test_the_file_is_a_small_png_of_the_picture():
     picture = preview(samples.beckmann_bsdf(0.02))
     content = png(picture)
-    assert len(content) < 60_000
+    assert len(content) < 80_000
     with Image.open(BytesIO(content)) as stored:
         assert (np.asarray(stored) == picture["picture"].values).all()
 
@@ -66,8 +81,24 @@ def test_the_file_is_a_small_png_of_the_picture():
 def test_the_picture_is_valid_in_the_vocabulary():
     picture = preview(lambert_gauss.lambertian(samples.spectrum(0.5)), side=32, light="overcast", illuminant="d50")
     vocabulary.validate(picture, "preview")
-    assert picture["picture"].shape == (32, 64, 3)
+    assert picture["picture"].shape == (32, 96, 3)
     assert (picture.attrs["illuminant"], picture.attrs["light"]) == ("D50", "overcast")
+
+
+def test_further_lights_are_what_each_gives_as_the_light_of_the_scene():
+    bsdf = samples.beckmann_bsdf(0.1, reflectance=0.3)
+    picture = preview(bsdf, side=48)
+    assert [*zip(picture["light_of"].values, picture["illuminant_of"].values, strict=True)] == [*OTHER_LIGHTS]
+    for k, other in enumerate(OTHER_LIGHTS):
+        alone = preview(bsdf, side=48, light=other.light, illuminant=other.illuminant, others=())
+        assert "picture_in" not in alone
+        difference = picture["picture_in"].values[k].astype(int) - alone["picture"].values
+        assert np.abs(difference).max() <= 1
+
+
+def test_a_further_light_that_is_that_of_the_scene_is_not_repeated():
+    picture = preview(black(0.2), side=32, light="spot", illuminant="A")
+    assert picture["light_of"].values.tolist() == ["tubes"]
 
 
 def test_an_unknown_light_is_refused():

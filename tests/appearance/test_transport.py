@@ -9,6 +9,7 @@ import pytest
 import samples
 
 from brdfpipe import facets, optics
+from brdfpipe.appearance import preview
 from brdfpipe.appearance import preview_geometry as shots
 from brdfpipe.appearance.lights import Lights, lights
 from brdfpipe.appearance.preview import channels_of, radiance
@@ -74,7 +75,7 @@ def test_a_polished_surface_mirrors_the_lights_by_its_reflectance():
     light = lights("studio").radiance(mirrored, float(points.spread[0]))
     expected = light * optics.fresnel(cosine, 1.5).mean
     # The reflectance is linear between polar angles of view 2 degree apart.
-    assert table.near_light(points, lights("studio"))[:, 0] == pytest.approx(expected, rel=5e-3)
+    assert table.mirrored_light(points, lights("studio"))[:, 0] == pytest.approx(expected, rel=5e-3)
 
 
 @pytest.mark.cases(3)
@@ -141,3 +142,25 @@ def test_light_of_wavelengths_adds_up_to_white():
         wavelength, channels = channels_of(samples.beckmann_bsdf(), illuminant)
         assert channels.shape == (wavelength.size, 3)
         assert channels.sum(axis=0) == pytest.approx(np.ones(3), abs=1e-12)
+
+
+@pytest.mark.parametrize("a", [0.02, 0.2])
+def test_several_lights_are_those_that_each_gives_alone(a):
+    bsdf, names = gloss_alone(a=a), ("studio", "spot", "tubes")
+    tables = Table.of(bsdf, None, np.array([[1.0, 0.5, 0.25]])), Table.of(bsdf, *ONE)
+    together = radiance(tables[0], shots.sphere(48), *map(lights, names))
+    for k, (name, weight) in enumerate(zip(names, (1.0, 0.5, 0.25), strict=True)):
+        alone = radiance(tables[1], shots.sphere(48), lights(name))[:, 0]
+        assert together[:, k] / weight == pytest.approx(alone, rel=2e-5, abs=1e-6)
+
+
+@pytest.mark.parametrize("shot", [shots.sphere(128), shots.panel(128)], ids=["sphere", "panel"])
+@pytest.mark.parametrize("a", [0.05, 0.12])
+def test_a_broad_lobe_seen_at_fewer_points_looks_as_at_every_pixel(shot, a, monkeypatch):
+    table = Table.of(gloss_alone(a=a), *ONE)
+    seen = []
+    for share in (1.0, 0.0):
+        monkeypatch.setattr(preview, "_FEWER", share)
+        seen.append(preview.tone(radiance(table, shot, lights("studio")))[:, 0])
+    # A step of the screen is 1/255, and less where it is dark.
+    assert np.abs(seen[0] - seen[1]).max() < 0.5 / 255

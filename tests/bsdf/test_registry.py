@@ -10,16 +10,23 @@ import numpy as np
 import pytest
 import samples
 import synthetic
+import xarray as xr
 
 import brdfpipe
-from brdfpipe import facets, store, vocabulary
-from brdfpipe.bsdf import microfacet, registry, slab
+from brdfpipe import facets, psd, store, vocabulary
+from brdfpipe.bsdf import kirchhoff, microfacet, registry, slab, traced, wave
 from brdfpipe.bsdf.checks import check
 from brdfpipe.bsdf.microfacet.model import Model
 from brdfpipe.bsdf.nonspectral import nonspectral
 from brdfpipe.bsdf.registry import REPRESENTATIONS, representation
 from brdfpipe.bsdf.representations.slab import SlabModel
+from brdfpipe.bsdf.source_changes import SourceChanges
 from brdfpipe.errors import VocabularyError
+
+_ERROR = xr.DataArray(
+    np.full((2, 3), 0.1), dims=("error_theta", "region"), coords={"error_theta": [0.0, 60.0]}, name="relative_error"
+)
+_SMALL_HEIGHTS = np.random.default_rng(1).normal(0.0, 0.02, (64, 64))
 
 AT = (30.0, 0.0, [10.0, 30.0, 50.0], 180.0)
 
@@ -115,14 +122,33 @@ def test_copies_are_prepared_anew():
     assert (brighter.bsdf.evaluate(*AT) > bsdf.bsdf.evaluate(*AT)).all()
 
 
-def test_a_prepared_representation_is_deleted_with_its_dataset():
-    bsdf = samples.beckmann_bsdf()
-    bsdf.bsdf.evaluate(*AT)
-    key, prepared = id(bsdf), weakref.ref(representation(bsdf))
+@pytest.mark.parametrize(
+    "make",
+    [
+        samples.beckmann_bsdf,
+        lambda: wave.build(psd.analytic("gaussian", sigma=0.03, length=5.0), index=1.5, spectrum=samples.spectrum()),
+        lambda: traced.build(samples.gaussian_surface(64), index=1.5, rays=2000),
+        lambda: kirchhoff.build(samples.surface(_SMALL_HEIGHTS, (0.5, 0.5)), index=1.5, wavelength=[550.0]),
+    ],
+    ids=["microfacet", "wave", "traced", "kirchhoff"],
+)
+@pytest.mark.filterwarnings("ignore::UserWarning")
+def test_a_prepared_representation_is_deleted_with_its_dataset(make):
+    # A worker prepares tens of megabytes for each material, and cyclic garbage may wait for many of them.
+    # The accessor `.bsdf` is cached by xarray in the dataset to which it refers, so it is not used here.
+    bsdf = make().assign(relative_error=_ERROR)
+    mean = nonspectral(bsdf)
+    changes = [SourceChanges.of(one) for one in (bsdf, mean)]
+    assert [one.of_brdf(*map(np.asarray, AT), None).any() for one in changes] == [True, True]
+    key, prepared = id(bsdf), [weakref.ref(representation(one)) for one in (bsdf, mean)]
     assert key in registry._CACHE
-    del bsdf
     gc.collect()
-    assert prepared() is None
+    gc.disable()
+    try:
+        del bsdf, mean, changes
+        assert [one() for one in prepared] == [None, None]
+    finally:
+        gc.enable()
     assert key not in registry._CACHE
 
 

@@ -378,3 +378,26 @@ def test_verify_exits_with_1_where_a_file_changed(tmp_path: Path) -> None:
     assert done.exit_code == 1
     assert done.output.splitlines()[-1] == f"{tmp_path}: 1 problem"
     assert run("verify", tmp_path / "a.nc").exit_code == 2
+
+
+@pytest.mark.parametrize(
+    ("words", "found"),
+    [
+        (["show", "/nope"], "invalid value for 'PATH': Path '/nope' does not exist; see `"),
+        (["nonsense"], "no such command 'nonsense'; see `"),
+        (["build", "--cores", "0", "x"], "invalid value for '--cores': 0 is not in the range x>=1; see `"),
+        (["rig", "scan"], "missing argument"),
+    ],
+)
+def test_errors_of_usage_have_the_voice_of_all_others(words: list[str], found: str) -> None:
+    done = run(*words)
+    assert done.exit_code == 2
+    assert done.stdout == ""
+    assert done.stderr.startswith(f"brdfpipe: {found}")
+    assert done.stderr.count("\n") == 1
+
+
+def test_a_group_without_a_command_lists_its_commands() -> None:
+    done = run("rig")
+    assert done.exit_code == 2
+    assert "emulate" in done.stderr

@@ -113,3 +113,24 @@ def test_a_glossy_lobe_has_its_height() -> None:
 def test_the_azimuth_of_a_lay_is_shown_as_on_the_page() -> None:
     facets = xr.Dataset({"lay": ((), -89.3, {"units": "degree"})}, attrs={"kind": "facets"})
     assert summaries.of_dataset(facets)["lay"]["value"] == pytest.approx(90.7)
+
+
+def test_a_small_value_with_a_unit_stays_what_it_is() -> None:
+    assert summaries._number(2e-12, 1e-13, " um4") == "2e-12 ± 1e-13"
+
+
+@pytest.mark.parametrize(
+    ("value", "u", "shown"),
+    [
+        (0.557353, 0.0331, "0.557 ± 0.033"),
+        (7.27743, 0.26, "7.28 ± 0.26"),
+        (123.456, 12.3, "123 ± 12"),
+        (1234.5, 123.0, "1234.5 ± 1.2e+02"),
+        (0.5, None, "0.5"),
+        (2.8e-14, 7.9e-14, "0"),
+        (0.0, 0.2, "0.00 ± 0.20"),
+        (0.5, float("nan"), "0.5"),
+    ],
+)
+def test_a_value_has_the_digits_that_its_uncertainty_leaves(value: float, u: float | None, shown: str) -> None:
+    assert summaries._number(value, u) == shown

@@ -171,3 +171,12 @@ def test_a_file_that_is_only_written_says_so(saved: Path, tmp_path: Path, monkey
     assert found.exit_code == 0, found.output
     monkeypatch.setitem(FORMATS, "openpbr", replace(FORMATS["openpbr"], read=""))
     assert "files of openpbr are written, not read" in run("compare", saved, tmp_path / "a.mtlx").output
+
+
+def test_the_results_of_a_material_are_compared_by_their_folder(saved: Path, tmp_path: Path) -> None:
+    by_folder, by_file = run("compare", saved.parent, saved), run("compare", saved, saved)
+    assert by_folder.exit_code == 0, by_folder.output
+    assert by_folder.output == by_file.output
+    empty = run("compare", tmp_path, saved)
+    assert empty.exit_code == 2
+    assert "no BSDF in this folder" in empty.output

@@ -16,6 +16,7 @@ from brdfpipe.surfaces import ingest, parameters
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 NAMES = ("abs-grain", "pp-moulding", "paint-lab")
+TEXTURES = ("leather-texture", "sparkling-texture")
 
 
 @pytest.fixture(scope="module")
@@ -29,7 +30,8 @@ def generate() -> ModuleType:
 
 
 def contents(folder: Path) -> dict[str, bytes]:
-    return {f"{name}/{path.name}": path.read_bytes() for name in NAMES for path in sorted((folder / name).iterdir())}
+    names = (*NAMES, *TEXTURES)
+    return {f"{name}/{path.name}": path.read_bytes() for name in names for path in sorted((folder / name).iterdir())}
 
 
 def description(name: str) -> dict[str, Any]:
@@ -42,14 +44,15 @@ def percent(folder: Path) -> np.ndarray:
 
 def test_generating_anew_gives_the_committed_bytes(generate: ModuleType, tmp_path: Path) -> None:
     generate.write_materials(tmp_path)
+    generate.write_textures(tmp_path)
     assert contents(tmp_path) == contents(EXAMPLES)
 
 
 def test_the_examples_stay_small() -> None:
-    assert sum(map(len, contents(EXAMPLES).values())) < 400_000
+    assert sum(map(len, contents(EXAMPLES).values())) < 700_000
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", [*NAMES, *TEXTURES])
 def test_every_example_says_that_it_is_synthetic(name: str) -> None:
     assert "synthetic" in description(name)["description"]
 

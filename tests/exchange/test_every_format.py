@@ -18,7 +18,7 @@ from brdfpipe.bsdf.lambert_gauss import lambertian
 from brdfpipe.bsdf.registry import representation
 from brdfpipe.bsdf.table_error import error_of, fresh_pairs
 from brdfpipe.exchange.reading import read
-from brdfpipe.exchange.registry import FORMATS, WRITTEN, ExchangeError
+from brdfpipe.exchange.registry import FORMATS, LOSSES, WRITTEN, ExchangeError
 
 ROUND_TRIPS = [name for name in WRITTEN if FORMATS[name].read]
 GRID = {"tolerance": 0.1, "albedo_tolerance": 0.05, "largest": 30_000}
@@ -105,6 +105,7 @@ def _exports(name: str, kind: str, folder: Path) -> None:
             continue
         record = json.loads((folder / f"x{declared.suffixes(side)[0]}.json").read_text())
         lost = set(record["left_out"])
+        assert lost <= set(LOSSES)
         assert np.isfinite([value for value in record["error"].values() if isinstance(value, float)]).all()
         assert ("lay" in lost) == (not representation(bsdf).isotropic and "lay" not in declared.carries)
         assert ("transmission" in lost) == (transmits and "transmission" not in declared.carries)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import struct
 from pathlib import Path
 
@@ -14,6 +15,7 @@ from brdfpipe import vocabulary
 from brdfpipe.bsdf.registry import representation
 from brdfpipe.bsdf.table_error import error_of, fresh_pairs
 from brdfpipe.errors import InputError
+from brdfpipe.exchange.read_table import ReadTable, as_bsdf
 from brdfpipe.exchange.reading import read
 from brdfpipe.exchange.registry import ExchangeError, write
 
@@ -104,6 +106,21 @@ def test_a_colour_outside_srgb_is_said_and_no_value_is_negative(tmp_path):
     record = json.loads((tmp_path / "green.mbsdf.json").read_text())
     assert "outside sRGB" in record["left_out"]["gamut"]
     assert cells(tmp_path / "green.mbsdf").min() >= 0
+
+
+@pytest.mark.parametrize("suffix", [".mbsdf", ".binary"])
+def test_what_an_exchange_of_the_directions_changes_is_averaged_and_said(tmp_path, suffix):
+    axes = {"theta_i": np.linspace(0, 88, 23), "theta_o": np.linspace(0, 90, 19), "phi_o": np.linspace(0, 180, 7)}
+    values = np.broadcast_to(0.1 + 0.05 * np.sin(np.radians(axes["theta_i"]))[:, None, None, None], (23, 19, 7, 1))
+    bsdf = as_bsdf(ReadTable("uniform", axes, values), Path("x"))
+    write(bsdf, tmp_path / f"x{suffix}", **(COARSE if suffix == ".mbsdf" else {}))
+    record = json.loads((tmp_path / f"x{suffix}.json").read_text())
+    sentence = record["left_out"]["reciprocity"]
+    off = float(re.search(r"off by ([0-9.]+)%", sentence)[1]) / 100
+    assert 0.05 < off < 0.25
+    # What remains of the error where cells are fine enough.
+    stated = record["error"] if suffix == ".mbsdf" else record["error"]["interpolated"]
+    assert stated["percentile_95"] == pytest.approx(off, rel=0.05)
 
 
 def test_a_lay_is_averaged_and_said_to_be_lost(tmp_path):

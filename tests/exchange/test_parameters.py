@@ -13,28 +13,45 @@ from damaged_files import check_garbled_models
 
 from brdfpipe import facets, optics
 from brdfpipe.bsdf import microfacet
+from brdfpipe.bsdf.table_error import errors_at, fresh_pairs
 from brdfpipe.errors import InputError
+from brdfpipe.exchange.fits import gauss
 from brdfpipe.exchange.fits.scatter import FORMULAS, at_incidence
 from brdfpipe.exchange.read_table import ReadTable, as_bsdf
 from brdfpipe.exchange.reading import read
-from brdfpipe.exchange.registry import ExchangeError, write
+from brdfpipe.exchange.records import errors_in_brief
+from brdfpipe.exchange.registry import FORMATS, ExchangeError, write
 
 
 def test_every_formula_is_listed_with_its_error(tmp_path: Path) -> None:
     write(samples.beckmann_bsdf(0.2), tmp_path / "x.parameters.json")
     document = json.loads((tmp_path / "x.parameters.json").read_text())
     fits = {one["formula"]: one for one in document["fits"]}
-    assert list(fits) == ["abg", "harvey", "k_correlation", "ggx", "beckmann"]
+    assert list(fits) == ["abg", "harvey", "k_correlation", "lambert_gauss", "ggx", "beckmann"]
     assert fits["beckmann"]["parameters"]["alpha"] == pytest.approx(0.2 * np.sqrt(2), rel=0.02)
     assert fits["beckmann"]["error"]["median"] < fits["ggx"]["error"]["median"]
     for one in fits.values():
         assert one["error"]["directions"] > 1000
-        assert ("refused" in one) != ("parameters" in one)
+        assert ("refused" in one) != bool({"parameters", "incidences"} & set(one))
         assert 0 < one["error"]["delta_e_00"] < 30
     # At 45:0 the Beckmann lobe of the same slopes is the BSDF, but for light that is reflected more than once.
     assert fits["beckmann"]["error"]["delta_e_00"] < 1
     assert fits["beckmann"]["error"]["delta_e_00"] < fits["ggx"]["error"]["delta_e_00"]
     assert "spectrum" in document["left_out"]
+
+
+def test_a_cell_of_the_page_names_the_median_of_each_fit_and_those_beyond_a_limit(tmp_path: Path) -> None:
+    record = FORMATS["parameters"].write(samples.beckmann_bsdf(0.2), tmp_path / "x", largest_error=0.06)[
+        "x.parameters.json"
+    ]
+    text = errors_in_brief(record)
+    fits = {one["formula"]: one for one in record["fits"]}
+    for name in ("beckmann", "lambert_gauss"):
+        assert f"{name} {fits[name]['error']['median']:.1%}" in text
+    # Of both ways the one with the smaller error.
+    assert f"abg by incidence {fits['abg']['by_incidence']['error']['median']:.1%}" in text
+    assert text.index("beckmann") < text.index("abg by incidence") < text.index("beyond a limit: ggx")
+    assert len(text) < 200
 
 
 def test_a_formula_of_another_colour_has_no_parameters(tmp_path: Path) -> None:
@@ -91,8 +108,30 @@ def test_each_incidence_is_listed_with_its_parameters_or_a_refusal(tmp_path: Pat
     assert "by_incidence" not in fits["ggx"]
 
 
+def test_lambert_and_gaussian_is_listed_by_incidence_or_refused(tmp_path: Path) -> None:
+    bsdf = samples.beckmann_bsdf(0.2)
+    write(bsdf, tmp_path / "x.parameters.json")
+    (one,) = (
+        fit for fit in json.loads((tmp_path / "x.parameters.json").read_text())["fits"] if "gauss" in fit["formula"]
+    )
+    assert [row["theta_i"] for row in one["incidences"]] == [0, 15, 30, 45, 60, 75, 85]
+    # The stated error is that of the rows as they are written.
+    rows = {row["theta_i"]: row["parameters"] for row in one["incidences"]}
+    grey = bsdf.bsdf.nonspectral()
+    pairs = fresh_pairs(grey, 3)
+    again = errors_at(grey, gauss.evaluation(rows), pairs)
+    assert np.median(again) == pytest.approx(one["error"]["median"], rel=0.2)
+    assert one["error"]["delta_e_00"] > 3
+    write(bsdf, tmp_path / "x.parameters.json", largest_delta_e=3.0)
+    (one,) = (
+        fit for fit in json.loads((tmp_path / "x.parameters.json").read_text())["fits"] if "gauss" in fit["formula"]
+    )
+    assert one["refused"] == "the colour difference is above the limit of 3"
+    assert "incidences" not in one
+
+
 def test_a_material_without_any_formula_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(ExchangeError, match=r"no formula describes this material: the nearest, beckmann"):
+    with pytest.raises(ExchangeError, match=r"no formula describes this material: the nearest, lambert_gauss"):
         write(samples.beckmann_bsdf(0.2), tmp_path / "x.parameters.json", largest_error=1e-4)
     for option in ("largest_error", "largest_delta_e"):
         with pytest.raises(ExchangeError, match=f"{option} is 0"):
@@ -101,6 +140,7 @@ def test_a_material_without_any_formula_is_refused(tmp_path: Path) -> None:
 
 
 HARVEY = {"b0": 0.8, "l": 0.1, "s": 2.0, "L": 0.2}
+GAUSS = {"G0": 0.8, "s_par": 8.0, "s_perp": 6.0, "L": 0.2}
 HARVEY_AT_60 = {"b0": 2.0, "l": 0.08, "s": 2.5, "L": 0.15}
 
 
@@ -114,7 +154,12 @@ def _document() -> dict:
     harvey = {"formula": "harvey", "parameters": HARVEY, "error": {"percentile_95": 0.5}, "by_incidence": listed}
     abg = {"formula": "abg", "refused": "the median error is above the limit", "error": {"percentile_95": 2.0}}
     ggx = {"formula": "ggx", "parameters": {"alpha": 0.3, "n": 1.5, "L": 0.2}, "error": {"percentile_95": 0.3}}
-    return {"fits": [abg, harvey, ggx]}
+    gaussians = {
+        "formula": "lambert_gauss",
+        "error": {"percentile_95": 0.6},
+        "incidences": [{"theta_i": 0, "parameters": GAUSS}],
+    }
+    return {"fits": [abg, harvey, gaussians, ggx]}
 
 
 def _written(folder: Path, document: object) -> Path:
@@ -132,13 +177,25 @@ def test_the_formula_with_the_least_error_is_evaluated(tmp_path: Path) -> None:
     assert "not evaluated: harvey" in found.attrs["history"]
 
 
+def test_lambert_and_gaussian_is_evaluated(tmp_path: Path) -> None:
+    rows = [{"theta_i": 0, "parameters": {**GAUSS, "s_perp": 8.0}}, {"theta_i": 60, "parameters": GAUSS}]
+    fits = [{"formula": "lambert_gauss", "error": {"percentile_95": 0.1}, "incidences": rows}]
+    found = read(_written(tmp_path, {"fits": fits}))
+    assert "lambert_gauss by incidence (2)" in found.attrs["history"]
+    assert float(found.bsdf.evaluate(60, 0, 60, 180).item()) == pytest.approx(0.8 + 0.2 / np.pi, rel=0.02)
+    assert float(found.bsdf.evaluate(0, 0, 8, 0).item()) == pytest.approx(0.8 * np.exp(-0.5) + 0.2 / np.pi, rel=0.02)
+    rows[1]["parameters"] = {**GAUSS, "s_par": 0}
+    with pytest.raises(InputError, match="lambert_gauss has no width"):
+        read(_written(tmp_path, {"fits": fits}), "parameters")
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
         (lambda fits: fits.clear(), "no formula has parameters"),
         (lambda fits: fits[1].update(parameters={**HARVEY, "l": 0}), "l of harvey is out of range"),
         (lambda fits: fits[1].update(parameters={"b0": 1}), "l of harvey is not a number.*None"),
-        (lambda fits: fits[2].update(parameters={"alpha": 0.3, "n": 0.5, "L": 0.2}), "ggx out of range"),
+        (lambda fits: fits[3].update(parameters={"alpha": 0.3, "n": 0.5, "L": 0.2}), "ggx out of range"),
         (lambda fits: fits[1]["by_incidence"]["incidences"].reverse(), "do not increase"),
         (lambda fits: fits[1].update(parameters=7), "parameters is not an object"),
     ],

@@ -14,9 +14,10 @@ from brdfpipe import facets
 from brdfpipe.appearance.colours import xyz_of
 from brdfpipe.bsdf import slab
 from brdfpipe.bsdf.registry import representation
-from brdfpipe.bsdf.table_error import error_of, fresh_pairs
+from brdfpipe.bsdf.table_error import error_of, errors_at, fresh_pairs
 from brdfpipe.errors import InputError
-from brdfpipe.exchange import cell_means, gridded, rgl, tensor_file
+from brdfpipe.exchange import cell_means, gridded, rgl_tables, tensor_file
+from brdfpipe.exchange.read_table import ReadTable, as_bsdf
 from brdfpipe.exchange.reading import read
 from brdfpipe.exchange.registry import FORMATS, write
 
@@ -41,7 +42,7 @@ def test_the_plugin_reads_what_the_record_says(red, file):
     assert record["error"]["within_tolerance"]
     grey = red.bsdf.nonspectral()
     fields = tensor_file.read(file)
-    tables = rgl.Tables.of_fields(fields, "rgb")
+    tables = rgl_tables.Tables.of_fields(fields, "rgb")
     found = error_of(grey, lambda *at: cell_means.luminous(tables.evaluate(*at)), fresh_pairs(grey, 21, incidences=24))
     assert found.percentile_95 <= 1.4 * record["error"]["percentile_95"]
 
@@ -50,7 +51,9 @@ def test_more_nodes_come_nearer_to_the_bsdf(red):
     grey = red.bsdf.nonspectral()
     pairs = fresh_pairs(grey, 3)
     errors = [
-        error_of(grey, rgl.tables_of(red, gridded.photopic(red), *size).evaluate, pairs).percentile_95
+        error_of(
+            grey, rgl_tables.tables_of(red, gridded.photopic(red), rgl_tables.Size(*size, 1, 0.01)).evaluate, pairs
+        ).percentile_95
         for size in ((16, 8), (32, 12), (64, 24))
     ]
     assert errors[0] > 2 * errors[1] > 3 * errors[2]
@@ -93,12 +96,45 @@ def test_files_of_isotropic_surfaces_are_symmetric_about_the_plane_of_incidence(
     assert np.array_equal(rgb, rgb[..., ::-1, :])
 
 
-def test_azimuths_of_a_lay_run_from_minus_half_a_turn_to_half_a_turn(tmp_path):
-    write(
-        samples.brushed_bsdf(0.3, 0.15), tmp_path / "b.rgb.bsdf", tolerance=0.5, albedo_tolerance=0.5, largest=100_000
-    )
-    phi_i = tensor_file.read(tmp_path / "b.rgb.bsdf")["phi_i"]
-    assert phi_i[[0, -1]] == pytest.approx([-np.pi, np.pi])
+def _asymmetric():
+    """A table that is the same after a whole turn alone: it has more light where the incidence is at azimuth 50."""
+    theta, phi = np.linspace(0, 88, 5), np.linspace(0, 360, 13)
+    nodes = np.meshgrid(phi, theta, np.linspace(0, 180, 13), phi, indexing="ij")
+    values = 0.1 + 0.05 * np.cos(np.radians(nodes[0] - 50)) * np.sin(np.radians(nodes[1]))
+    axes = {"phi_i": phi, "theta_i": theta, "theta_s": np.linspace(0, 180, 13), "phi_s": phi}
+    return as_bsdf(ReadTable("specular", axes, values[..., None]), Path("x"))
+
+
+@pytest.mark.parametrize(("kind", "part"), [("along", 4), ("turned", 2), ("asymmetric", 1)])
+def test_azimuths_of_incidence_that_a_symmetry_gives_are_not_written(tmp_path, kind, part):
+    bsdf = {
+        "along": lambda: samples.brushed_bsdf(0.5, 0.35, 90.0),
+        "turned": lambda: samples.brushed_bsdf(0.5, 0.35, 30.0),
+        "asymmetric": _asymmetric,
+    }[kind]()
+    write(bsdf, tmp_path / "b.rgb.bsdf", tolerance=0.1, albedo_tolerance=0.1, largest=100_000)
+    fields = tensor_file.read(tmp_path / "b.rgb.bsdf")
+    # The plugin turns or mirrors other azimuths into this part of the circle.
+    assert fields["phi_i"][[0, -1]] == pytest.approx([-np.pi, 2 * np.pi / part - np.pi])
+    tables = rgl_tables.Tables.of_fields(fields, "rgb")
+    assert tables.reduction == part
+    stated = json.loads((tmp_path / "b.rgb.bsdf.json").read_text())["error"]
+    assert stated["within_tolerance"]
+    for quarter in range(4):
+        pairs = fresh_pairs(bsdf, 5)
+        pairs = pairs.chosen(pairs.phi_i // 90 == quarter)
+        found = errors_at(bsdf, lambda *at: cell_means.luminous(tables.evaluate(*at)), pairs)
+        assert np.quantile(found, 0.95) < 2 * stated["percentile_95"]
+
+
+def test_the_tail_along_a_lay_is_as_bright_as_that_of_the_bsdf():
+    """Along the lay the lobe falls fast with azimuth: with a facet density of 32 azimuths it is 2.5 and 4.3 % too dark at the last two slopes."""
+    brushed = samples.brushed_bsdf(0.09, 0.36)
+    tables = rgl_tables.tables_of(brushed, gridded.photopic(brushed), rgl_tables.Size(40, 16, 16, 0.01))
+    tilt = np.degrees(np.arctan(np.array([1.0, 2.0, 2.5]) * 0.09 / np.sqrt(2)))
+    pairs = 2 * tilt, np.zeros(3), np.zeros(3), np.zeros(3)
+    exact = representation(brushed).evaluate(*pairs, None)[:, 0]
+    assert tables.evaluate(*pairs, None)[:, 0] == pytest.approx(exact, rel=0.01)
 
 
 @pytest.mark.parametrize("name", ["theta_i", "vndf", "rgb"])
@@ -134,16 +170,21 @@ def test_garbled_files_are_read_or_refused_and_never_crash(tmp_path, count):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", ["isotropic", "lay"])
+@pytest.mark.parametrize("kind", ["isotropic", "lay", "turned lay"])
 def test_mitsuba_evaluates_and_samples_the_file(red, tmp_path, kind):
     mitsuba = pytest.importorskip("mitsuba")
     mitsuba.set_variant("scalar_rgb")
-    bsdf, path = red, tmp_path / "red.rgb.bsdf"
-    if kind == "lay":
-        bsdf, path = samples.brushed_bsdf(0.3, 0.2), tmp_path / "lay.rgb.bsdf"
+    path = tmp_path / "x.rgb.bsdf"
+    bsdf = {
+        "isotropic": lambda: red,
+        "lay": lambda: samples.brushed_bsdf(0.3, 0.2),
+        "turned lay": lambda: samples.brushed_bsdf(0.3, 0.2, 30.0),
+    }[kind]()
     write(bsdf, path, tolerance=0.01, albedo_tolerance=0.01, largest=3_000_000)
-    stated = json.loads(Path(f"{path}.json").read_text())["error"]["percentile_95"]
-    assert stated < {"isotropic": 0.01, "lay": 0.03}[kind]
+    stated = json.loads(Path(f"{path}.json").read_text())["error"]
+    # Half of the circle takes twice as many values.
+    limit = {"isotropic": 0.01, "lay": 0.01, "turned lay": 0.015}[kind]
+    assert stated["percentile_95"] < limit
     plugin, context = mitsuba.load_dict({"type": "measured", "filename": str(path)}), mitsuba.BSDFContext()
     channels = gridded.linear_rgb(bsdf)
     pairs = fresh_pairs(bsdf.bsdf.nonspectral(), 9)
@@ -163,7 +204,7 @@ def test_mitsuba_evaluates_and_samples_the_file(red, tmp_path, kind):
         read = np.array(plugin.eval(context, surface, vector(theta_o, phi_o)))
         errors.append((np.abs(read - brdf * cosine) / np.maximum(brdf * cosine, 1e-3)).max())
     # The largest of three channels at other directions.
-    assert np.quantile(errors, 0.95) < 1.5 * stated
+    assert np.quantile(errors, 0.95) < limit
     generator = np.random.default_rng(0)
     for theta_i in (10.0, 60.0):
         surface.wi = vector(theta_i, 30.0)

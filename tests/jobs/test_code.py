@@ -296,6 +296,12 @@ def test_the_digest_of_a_stage_covers_every_module_that_its_run_loads(tmp_path: 
     run("preview", same("bsdf"), same("preview", "png"))
     run("table", same("bsdf"), same("table"))
     run("lambert_gauss", same("bsdf"), same("lambert_gauss", "csv"))
+    of_map = {"pixel": 4.0, "size": 32}
+    run("texture", same("surface", "facets"), same("texture"), of_map)
+    run("unresolved", {**same("texture", "index", "spectrum"), "bsdf": "plain"}, same("unresolved"), {"formats": []})
+    paint = example.parent / "sparkling-texture"
+    pictures = {"pictures": [str(paint / f"{name}.png") for name in ("45as15", "45as45", "diffuse")]}
+    run("picture_texture", pictures, {"texture": "picture_texture"}, of="sparkling-texture")
     run("export_astm", same("bsdf"), {"export": "export_astm.nc"})
     run("report", same("facets", "bsdf"), same("page"))
     run("summary", same("facets", "bsdf"), same("summary"))

@@ -82,6 +82,14 @@ def test_an_invalid_value_is_refused_with_its_key_and_what_is_accepted(rig_file,
         assert word in str(refusal.value)
 
 
+def test_a_wheel_may_be_on_the_monochromators_controller(rig_file):
+    rewritten(rig_file, "{dialect: thorlabs, port: /dev/ttyUSB1", "{dialect: acton-wheel, port: /dev/ttyUSB0")
+    assert Rig.load(rig_file).shared_port
+    rewritten(rig_file, "acton-wheel,", "acton-wheel, baud: 19200,")
+    with pytest.raises(InputError, match=r"two baud rates of one port.*19200.*9600"):
+        Rig.load(rig_file)
+
+
 def test_an_absent_filter_is_refused(rig):
     with pytest.raises(InputError, match="found 5; accepted: 1, 2, 3"):
         rig.filter_at(5)

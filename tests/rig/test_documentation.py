@@ -25,6 +25,7 @@ from brdfpipe.rig.acquisition.devices import connection as devices
 from brdfpipe.rig.acquisition.devices.errors import WrongDevice
 from brdfpipe.rig.description import CameraSettings, Rig
 from brdfpipe.rig.emulator.clock import VirtualClock
+from brdfpipe.rig.emulator.dialects import DIALECTS
 from brdfpipe.rig.emulator.effects import Effects
 from brdfpipe.rig.emulator.faults import KINDS, Faults
 from brdfpipe.rig.emulator.port import Port
@@ -171,6 +172,20 @@ def test_the_table_of_effects_is_complete_with_defaults():
 
 def test_the_table_of_faults_is_complete():
     assert [words(row["Fault"])[0] for row in rows(section("The emulator"), "Fault")] == list(KINDS)
+
+
+def test_every_error_of_a_bench_has_its_test() -> None:
+    table = rows(section("What each frame must show"), "Error")
+    assert len(table) > 10
+    sources = "".join(path.read_text(encoding="utf-8") for path in (PROJECT / "tests" / "rig").rglob("test_*.py"))
+    missing = [name for row in table for name in words(row["Test"]) if f"def {name}(" not in sources]
+    assert missing == []
+
+
+def test_every_dialect_of_the_controllers_is_documented() -> None:
+    table = rows(section("The emulator"), "Dialect of the controllers (`--dialect`)")
+    documented = {words(row["Dialect of the controllers (`--dialect`)"])[0]: row["They differ in"] for row in table}
+    assert documented == {name: dialect.meaning for name, dialect in DIALECTS.items()}
 
 
 # --- commands and links

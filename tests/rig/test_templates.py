@@ -30,6 +30,14 @@ def test_the_bench_is_that_of_the_preprint(plan):
     assert (plan.rig.camera.width, plan.rig.camera.height) == (320, 240)
 
 
+def test_the_plan_measures_the_target_first(plan):
+    """Mirrors and camera move between runs: without the target the mirror direction is known to 0.1 degree only."""
+    assert plan.runs == ("target", "etalon", "sample")
+    assert plan.arrangements[0].load == "target"
+    assert plan.rig.target is not None
+    assert max(plan.rig.target.theta_s) < 10
+
+
 def test_fibres_cover_all_directions_outside_the_cone_of_the_lens(plan):
     theta = np.array([fibre.theta_s for fibre in plan.rig.fibres])
     phi = np.array([fibre.phi_s for fibre in plan.rig.fibres])

@@ -88,6 +88,27 @@ use rule stage_template as lambert_gauss with:
         csv="{scene}{material}/exports/{material}.lambert_gauss.csv",
 
 
+use rule stage_template as texture with:
+    input:
+        **results_of("surface", "facets"),
+    output:
+        texture="{scene}{material}/texture.nc",
+
+
+use rule stage_template as picture_texture with:
+    input:
+        pictures=pipeline.raw_files("texture"),
+    output:
+        texture="{scene}{material}/picture_texture.nc",
+
+
+use rule stage_template as unresolved with:
+    input:
+        **results_of("texture", "index", "spectrum", "bsdf"),
+    output:
+        unresolved="{scene}{material}/unresolved.nc",
+
+
 # A rule for each format, and each side of the material with separate files.
 for export in EXPORTS:
 

@@ -19,7 +19,7 @@ def mirrored_light(
     table: Floats,
     straight_down: np.float32,
 ) -> Floats:
-    """Radiance (points, facets) from the directions that facets mirror towards the camera.
+    """Radiance (lights, points, facets) from the directions that facets mirror towards the camera.
 
     Parameters
     ----------
@@ -28,24 +28,24 @@ def mirrored_light(
     view : (points, 3) unit vectors towards the camera
     levels : of each facet the size of its level of the table, where it starts, its scale and half its size
         (:meth:`brdfpipe.appearance.lights.Filtered.levels`)
-    table : all levels
+    table : all levels, (texels, lights)
     straight_down : z below which the map has no azimuth
 
     Notes
     -----
     In single precision, as :meth:`brdfpipe.appearance.lights.Filtered.__call__`.
     """
-    light = np.empty((len(frame), len(facets)), dtype=np.float32)
-    normals = np.ascontiguousarray(facets.T)
-    towards = np.ascontiguousarray(view, dtype=np.float32)
-    _mirrored_light(np.ascontiguousarray(frame), normals, towards, levels, table, straight_down, light)
+    light = np.empty((table.shape[1], len(frame), len(facets)), dtype=np.float32)
+    normals = np.ascontiguousarray(facets.T, dtype=np.float32)
+    axes, towards = (np.ascontiguousarray(vectors, dtype=np.float32) for vectors in (frame, view))
+    _mirrored_light(axes, normals, towards, levels, table, straight_down, light)
     return light
 
 
 @compiled
 def _mirrored_light(
-    frame: Array,
-    normals: Array,
+    frame: Floats,
+    normals: Floats,
     view: Floats,
     levels: tuple[NDArray[np.int32], NDArray[np.int32], Floats, Floats],
     table: Floats,
@@ -55,18 +55,18 @@ def _mirrored_light(
     sizes, starts, scales, halves = levels
     one, two, least, zero = np.float32(1), np.float32(2), np.float32(1e-6), np.int32(0)
     u, v, w = normals[0], normals[1], normals[2]
-    texel = np.empty(light.shape[1], dtype=np.int32)
-    for point in range(light.shape[0]):
+    texel = np.empty(light.shape[2], dtype=np.int32)
+    for point in range(light.shape[1]):
         # Numbers instead of elements, comparisons instead of `min` and `max`, and the look-up in a loop of its own: so the compiler computes
         # many nodes at once.
         xx, xy, xz = frame[point, 0, 0], frame[point, 0, 1], frame[point, 0, 2]
         yx, yy, yz = frame[point, 1, 0], frame[point, 1, 1], frame[point, 1, 2]
         zx, zy, zz = frame[point, 2, 0], frame[point, 2, 1], frame[point, 2, 2]
         vx, vy, vz = view[point, 0], view[point, 1], view[point, 2]
-        for node in range(light.shape[1]):
-            nx = np.float32(xx * u[node] + yx * v[node] + zx * w[node])
-            ny = np.float32(xy * u[node] + yy * v[node] + zy * w[node])
-            nz = np.float32(xz * u[node] + yz * v[node] + zz * w[node])
+        for node in range(light.shape[2]):
+            nx = xx * u[node] + yx * v[node] + zx * w[node]
+            ny = xy * u[node] + yy * v[node] + zy * w[node]
+            nz = xz * u[node] + yz * v[node] + zz * w[node]
             cosine = (nx * vx + ny * vy + nz * vz) * two
             z = cosine * nz - vz
             rise = one + z
@@ -80,5 +80,6 @@ def _mirrored_light(
             row = row if row < last else last
             row = zero if z < straight_down else row
             texel[node] = np.int32(starts[node] + row * sizes[node] + column)
-        for node in range(light.shape[1]):
-            light[point, node] = table[texel[node]]
+        for lamp in range(light.shape[0]):
+            for node in range(light.shape[2]):
+                light[lamp, point, node] = table[texel[node], lamp]

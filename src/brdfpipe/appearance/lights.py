@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -93,7 +93,7 @@ class Lights:
     @cached_property
     def filtered(self) -> Filtered:
         """Lookup tables of the same lights."""
-        return Filtered(self)
+        return filtered((self,))
 
     @cached_property
     def of_pixels(self) -> Callable[[Array, Array], Array]:
@@ -122,9 +122,13 @@ LIGHTS: Mapping[str, Lights] = {
     ),
     "sun": Lights((SoftBox((-0.50, -0.55, 0.72), 0.045, 0.045, 60.0, 0.012),), zenith=0.16, ground=0.06),
     "overcast": Lights((), zenith=1.0, ground=0.15),
+    "spot": Lights((SoftBox((-0.45, -0.70, 0.55), 0.10, 0.10, 30.0),), zenith=0.05, ground=0.03),
+    "tubes": Lights(
+        tuple(SoftBox((0.0, y, 1.0), 1.6, 0.05, 2.0) for y in (-1.1, -0.45, 0.1, 0.7)), zenith=0.10, ground=0.06
+    ),
 }
 """``studio``: three soft boxes, in front to the left, above, and a strip to the right. ``sun``: a small bright disc and a clear sky.
-``overcast``: only a sky."""
+``overcast``: only a sky. ``spot``: a lamp in a dim room. ``tubes``: four rows of tubes under a ceiling."""
 
 
 def lights(name: str) -> Lights:
@@ -148,23 +152,41 @@ STRAIGHT_DOWN = np.float32(-1 + 2e-6)
 """z below which the map has no azimuth; a corner of it contains the radiance from there."""
 
 
+@lru_cache(maxsize=8)
+def filtered(lights: tuple[Lights, ...]) -> Filtered:
+    """Lookup tables of lights that a point is seen in, one after the other: a direction is looked up once for all."""
+    return Filtered(lights)
+
+
 class Filtered:
     """Lights tabulated at several blurs on Lambert's equal-area map of the sphere about the zenith.
 
     The texels of each level are smaller than its blur, so that the nearest one is accurate enough.
     """
 
-    def __init__(self, lights: Lights) -> None:
+    def __init__(self, lights: tuple[Lights, ...]) -> None:
         self.blur = _FIRST_BLUR * np.sqrt(2.0) ** np.arange(_LEVELS) * (np.arange(_LEVELS) > 0)
-        finest = min([box.softness for box in lights.boxes], default=SOFTNESS)
+        finest = min([box.softness for light in lights for box in light.boxes], default=SOFTNESS)
         width = np.hypot(finest, self.blur)
         self.size = np.round(_COARSEST_SIZE * (width[-1] / width) ** 0.7).astype(np.int32)
-        tables = [lights.radiance(_texels(int(n)), float(blur)) for n, blur in zip(self.size, self.blur, strict=True)]
-        self.table = np.concatenate([table.ravel() for table in tables]).astype(np.float32)
+        levels = [_texels(int(n)) for n in self.size]
+        self.table: Floats = np.stack(
+            [
+                np.concatenate(
+                    [
+                        light.radiance(texels, float(blur)).ravel()
+                        for texels, blur in zip(levels, self.blur, strict=True)
+                    ]
+                )
+                for light in lights
+            ],
+            axis=-1,
+        ).astype(np.float32)
+        """(texels, lights), so that what is looked up together is stored together"""
         self.start = np.concatenate([[0], np.cumsum(self.size**2)[:-1]]).astype(np.int32)
 
     def __call__(self, x: Floats, y: Floats, z: Floats, blur: Array) -> Floats:
-        """Radiance from unit vectors, each (points, nodes), blurred by (nodes,) [radian]."""
+        """Radiance (lights, points, nodes) from unit vectors, each (points, nodes), blurred by (nodes,) [radian]."""
         size, start, scale, half = self.levels(blur)
         stretch = scale / np.sqrt(np.maximum(1 + z, np.float32(1e-6)))
         # In single precision, positions on the rim of the map (straight down) are slightly off to either side.
@@ -175,11 +197,11 @@ class Filtered:
         row *= size
         row += column
         row += start
-        return np.take(self.table, row)
+        return np.ascontiguousarray(np.moveaxis(np.take(self.table, row, axis=0), -1, 0))
 
     @cached_property
     def in_frames(self) -> Callable[[Array, Array], Floats]:
-        """Radiance (points, nodes) from directions (nodes, 3) in the frames of points (points, 3, 3), as a function of frames and directions.
+        """Radiance (lights, points, nodes) from directions (nodes, 3) in the frames of points (points, 3, 3), as a function of frames and directions.
 
         The nodes share a hemisphere evenly; each light is blurred by the share of one. The last few results are kept: they are the same for
         all isotropic materials.
@@ -188,12 +210,12 @@ class Filtered:
 
     def _in_frames(self, frame: Array, directions: Array) -> Floats:
         blur = np.full(len(directions), _DIRECTION_BLUR * np.sqrt(2 * np.pi / len(directions)))
-        light = np.empty((len(frame), len(directions)), dtype=np.float32)
+        light = np.empty((self.table.shape[1], len(frame), len(directions)), dtype=np.float32)
         step = max(1, _MOST_LOOKUPS // len(directions))
         for start in range(0, len(frame), step):
             at = slice(start, start + step)
             x, y, z = ((frame[at, :, axis] @ directions.T).astype(np.float32) for axis in range(3))
-            light[at] = self(x, y, z, blur)
+            light[:, at] = self(x, y, z, blur)
         return light
 
     def levels(self, blur: Array) -> tuple[NDArray[np.int32], NDArray[np.int32], Floats, Floats]:

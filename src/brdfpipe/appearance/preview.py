@@ -1,4 +1,4 @@
-"""A picture of a material: a sphere and a flat panel under known lights.
+"""A picture of a material: a sphere, a flat panel and a moulded part, in the light that a scene chooses and in some others.
 
 The picture is a rendering of the model, through ``evaluate`` and ``specular``, at a fixed exposure: pictures of different materials
 are comparable. The brightest spot of a perfect white diffuser has :data:`brdfpipe.appearance.lights.WHITE_LEVEL`. Below that level
@@ -8,11 +8,15 @@ the other is not included. Light through a slab comes from an evenly lit backdro
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from functools import cache
 from io import BytesIO
+from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
 
 from brdfpipe import vocabulary
 from brdfpipe.appearance.lights import WHITE_LEVEL, Lights, lights
@@ -23,15 +27,47 @@ from brdfpipe.geometry import Array
 from brdfpipe.spectra import colorimetry
 
 SIDE = 256
-"""Pixels along the side of each of the two pictures."""
+"""Pixels along the side of the picture of each subject."""
+
+SUBJECTS = ("sphere", "panel", "part")
+"""From left to right."""
+
+
+class Lighting(NamedTuple):
+    """Lights and their spectrum."""
+
+    light: str
+    """One of :data:`brdfpipe.appearance.lights.LIGHTS`"""
+    illuminant: str
+
+
+OTHER_LIGHTS = (Lighting("spot", "A"), Lighting("tubes", "FL11"))
+"""In which a material is shown besides the light that the scene chooses."""
 
 BACKDROP = (0.42, 0.30)
 """Linear grey of the backdrop at its top and its bottom."""
 
+_STEPS = 0.042 / np.sqrt(2.0) ** np.arange(14)
+"""Angles between the facets of neighbouring points [radian] at which the light of a lobe may be seen. A few, so that materials share grids."""
+
+_STEP = 0.7
+"""Largest such angle over the width of the lobe and of the edges of the lights."""
+
+_FEWER = 0.7
+"""Share of the number of pixels up to which the points of a grid are worth it."""
+
 _WAVELENGTHS = np.arange(400.0, 701.0, 20.0)
+_FEWEST_OF_SPLINE = 4
 
 
-def preview(bsdf: xr.Dataset, *, illuminant: str = "D65", light: str = "studio", side: int = SIDE) -> xr.Dataset:
+def preview(
+    bsdf: xr.Dataset,
+    *,
+    illuminant: str = "D65",
+    light: str = "studio",
+    side: int = SIDE,
+    others: Sequence[Lighting] = OTHER_LIGHTS,
+) -> xr.Dataset:
     """Render a material.
 
     Parameters
@@ -39,29 +75,48 @@ def preview(bsdf: xr.Dataset, *, illuminant: str = "D65", light: str = "studio",
     bsdf : kind ``bsdf``, of any representation
     illuminant : spectrum of all lights; the eye is assumed to be adapted to it
     light : one of :data:`brdfpipe.appearance.lights.LIGHTS`
-    side : pixels along each side of each of the two pictures
+    side : pixels along each side of the picture of a subject
+    others : further lights and illuminants; one that is ``light`` and ``illuminant`` is left out
 
     Returns
     -------
-    Dataset of kind ``preview``: ``picture(row, column, channel)``, sRGB from 0 to 255, the sphere to the left and the panel to the right
+    Dataset of kind ``preview``: ``picture(row, column, channel)``, sRGB from 0 to 255, of :data:`SUBJECTS` from left to right; and where
+    there are further lights ``picture_in(lighting, row, column, channel)``, with their ``light_of`` and ``illuminant_of``
 
     Raises
     ------
     LightError : an unknown light.
     BrdfpipeError : an unknown illuminant.
     """
+    from brdfpipe.appearance.moulded_part import moulded_part
+
     vocabulary.validate(bsdf, "bsdf")
-    environment, channels = lights(light), channels_of(bsdf, illuminant)
-    table = Table.of(bsdf, *channels)
+    own = Lighting(light, colorimetry.illuminant_name(illuminant))
+    lightings = [own, *(other for other in others if other != own)]
+    environments = [lights(one.light) for one in lightings]
+    weights = [channels_of(bsdf, one.illuminant) for one in lightings]
+    wavelength, channels = weights[0][0], np.concatenate([channels for _, channels in weights], axis=1)
+    table = Table.of(bsdf, wavelength, channels)
     pictures = []
     for shot in (sphere(side), panel(side)):
-        pictures.append(_composed(shot, radiance(table, shot, environment), _transmitted(bsdf, shot, *channels)))
-    shown = (255 * colorimetry.encoded_srgb(np.concatenate(pictures, axis=1))).round().astype(np.uint8)
+        seen = radiance(table, shot, *environments) + _transmitted(bsdf, shot, wavelength, channels)
+        # Toned before it is blended: a highlight much brighter than white would leave a jagged edge.
+        pictures.append((shot.coverage, tone(seen)))
+    part = moulded_part(side)
+    pictures.append((part.coverage, part.lit_as(pictures[0][1])))
+    shown = np.concatenate([_composed(*picture) for picture in pictures], axis=1)
+    shown = np.moveaxis(shown.reshape(side, len(SUBJECTS) * side, len(lightings), 3), 2, 0)
     picture = xr.Dataset(
-        {"picture": (("row", "column", "channel"), shown)},
+        {"picture": (("row", "column", "channel"), shown[0])},
         coords={"channel": ["R", "G", "B"]},
-        attrs={"illuminant": colorimetry.illuminant_name(illuminant), "light": light, "white_level": WHITE_LEVEL},
+        attrs={"illuminant": own.illuminant, "light": light, "white_level": WHITE_LEVEL},
     )
+    if lightings[1:]:
+        picture["picture_in"] = (("lighting", "row", "column", "channel"), shown[1:])
+        picture = picture.assign_coords(
+            light_of=("lighting", [one.light for one in lightings[1:]]),
+            illuminant_of=("lighting", [one.illuminant for one in lightings[1:]]),
+        )
     return vocabulary.label(picture, "preview")
 
 
@@ -75,17 +130,33 @@ def png(preview: xr.Dataset) -> bytes:
     return stream.getvalue()
 
 
-def radiance(table: Table, shot: Shot, environment: Lights) -> Array:
-    """Radiance of the pixels that a subject covers, (pixels, channels), at the exposure of the picture."""
-    far = shot.upsampled(table.far_light(shot.coarse, environment))
-    return (table.near_light(shot.pixels, environment) + far) * environment.exposure
+def radiance(table: Table, shot: Shot, *environments: Lights) -> Array:
+    """Radiance of the pixels that a subject covers, (pixels, channels), at the exposure of the picture.
+
+    In several lights, each has its own equal share of the channels.
+    """
+    seen = table.mirrored_light(shot.pixels, *environments)
+    seen += shot.upsampled(table.far_light(shot.coarse, *environments))
+    edge = min([box.softness for one in environments for box in one.boxes], default=np.inf)
+    grid = shot.with_step(_step(float(np.hypot(table.width, edge / 2))))
+    if len(grid.coarse.normal) < _FEWER * len(shot.pixels.normal):
+        seen += grid.upsampled(table.near_light(grid.coarse, *environments))
+    else:
+        seen += table.near_light(shot.pixels, *environments)
+    seen *= np.repeat([one.exposure for one in environments], seen.shape[1] // len(environments))
+    return seen
+
+
+def _step(width: float) -> float:
+    """The step of the grid for a lobe of a half width, in slope."""
+    return float(_STEPS[min(np.searchsorted(-_STEPS, -_STEP * width), len(_STEPS) - 1)])
 
 
 def channels_of(bsdf: xr.Dataset, illuminant: str = "D65") -> tuple[Array | None, Array]:
     """Wavelengths to evaluate at, and their weights in linear sRGB (wavelength, 3), for white (1, 1, 1).
 
-    A reflectance is interpolated linearly between wavelengths 20 nm apart, and constant beyond 400 and 700 nm. Other illuminants
-    are adapted to D65 with the Bradford matrix.
+    A reflectance between wavelengths 20 nm apart is that of a cubic spline, and constant beyond 400 and 700 nm; between the wavelengths of a BSDF
+    that has fewer it is linear. Other illuminants are adapted to D65 with the Bradford matrix.
     """
     *_, grid, weights, white = colorimetry.weights(illuminant, 2)
     to_screen = colorimetry.srgb_from_xyz(white)
@@ -94,6 +165,10 @@ def channels_of(bsdf: xr.Dataset, illuminant: str = "D65") -> tuple[Array | None
     own = bsdf["wavelength"].values
     first, last = np.searchsorted(_WAVELENGTHS, own[0]), np.searchsorted(_WAVELENGTHS, own[-1], side="right")
     inside = _WAVELENGTHS[first:last]
+    if inside.size < own.size and inside.size >= _FEWEST_OF_SPLINE:
+        # Straight lines 20 nm long would take off as much from the peaks of a spectrum as saturated colours have of their weakest channel.
+        spline = CubicSpline(inside, np.eye(inside.size), bc_type="natural")
+        return inside, spline(np.clip(grid, inside[0], inside[-1])).T @ weights @ to_screen.T
     wavelength = own if own.size <= max(inside.size, 1) else inside if inside.size else own[[0, -1]]
     hats = np.stack([np.interp(grid, wavelength, row) for row in np.eye(wavelength.size)])
     return wavelength, hats @ weights @ to_screen.T
@@ -102,12 +177,14 @@ def channels_of(bsdf: xr.Dataset, illuminant: str = "D65") -> tuple[Array | None
 def tone(linear: Array) -> Array:
     """Linear light in the linear range of the screen: unchanged up to :data:`WHITE_LEVEL`, then an exponential that ends at 1."""
     room = 1 - WHITE_LEVEL
-    above = np.maximum(linear - WHITE_LEVEL, 0)
-    return np.clip(np.minimum(linear, WHITE_LEVEL) + room * (1 - np.exp(-above / room)), 0, 1)
+    shown = np.clip(linear, 0, None)
+    bright = shown > WHITE_LEVEL
+    shown[bright] = WHITE_LEVEL + room * (1 - np.exp((WHITE_LEVEL - shown[bright]) / room))
+    return np.asarray(shown)
 
 
 def _transmitted(bsdf: xr.Dataset, shot: Shot, wavelength: Array | None, channels: Array) -> Array | float:
-    """Share of an even light behind a slab that reaches the camera, (pixels, channels): the transmittance, by reciprocity."""
+    """Light of the backdrop that a slab lets through to the camera, (pixels, channels): by reciprocity its transmittance."""
     if not representation(bsdf).is_slab:
         return 0.0
     theta = np.linspace(0.0, 85.0, 18)
@@ -116,16 +193,33 @@ def _transmitted(bsdf: xr.Dataset, shot: Shot, wavelength: Array | None, channel
     view_angle = np.degrees(np.arccos(np.minimum((shot.pixels.normal * shot.pixels.view).sum(axis=1), 1)))
     # At grazing all light is reflected.
     nodes, share = np.append(theta, 90.0), np.concatenate([share, np.zeros((1, share.shape[1]))])
-    return np.stack([np.interp(view_angle, nodes, column) for column in share.T], axis=-1)
+    passed = np.stack([np.interp(view_angle, nodes, column) for column in share.T], axis=-1)
+    return np.asarray(passed * _backdrop(len(shot.coverage))[np.nonzero(shot.coverage)[0], None])
 
 
-def _composed(shot: Shot, reflected: Array, transmitted: Array | float) -> Array:
-    """The subject in front of the backdrop, (side, side, 3), linear."""
-    side = len(shot.coverage)
-    grey = np.broadcast_to(np.linspace(*BACKDROP, side)[:, None, None], (side, side, 3))
-    covered = shot.coverage > 0
-    subject = np.zeros((side, side, 3))
-    # Toned before it is blended: a highlight much brighter than white would leave a jagged edge.
-    subject[covered] = tone(reflected + transmitted * grey[covered])
-    share = shot.coverage[..., None]
-    return np.asarray(share * subject + (1 - share) * grey)
+def _composed(coverage: Array, subject: Array) -> NDArray[np.uint8]:
+    """The subject (pixels, channels) in front of the backdrop, as the screen shows it: (side, side, channels), sRGB from 0 to 255."""
+    side = len(coverage)
+    screen = _screen()
+    shown = np.empty((side, side, subject.shape[1]), dtype=np.uint8)
+    shown[:] = screen[_levels(_backdrop(side))][:, None, None]
+    row, column = np.nonzero(coverage)
+    share = coverage[row, column].astype(np.float32)[:, None]
+    shown[row, column] = screen[_levels(share * subject + (1 - share) * _backdrop(side)[row, None])]
+    return shown
+
+
+def _backdrop(side: int) -> Array:
+    """Linear grey of each row."""
+    return np.linspace(*BACKDROP, side)
+
+
+def _levels(linear: Array) -> NDArray[np.uint16]:
+    """Linear light from 0 to 1 in 65 535 steps: below a fifth of a step of the screen, also in the dark."""
+    return (linear * 65535 + 0.5).astype(np.uint16)
+
+
+@cache
+def _screen() -> NDArray[np.uint8]:
+    """sRGB from 0 to 255 of each level."""
+    return np.asarray((255 * colorimetry.encoded_srgb(np.arange(65536) / 65535)).round().astype(np.uint8))

@@ -6,6 +6,7 @@ a point depends only on its normal, the direction to the camera and the directio
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import lru_cache, partial
 from typing import NamedTuple
 
@@ -59,6 +60,10 @@ class Shot(NamedTuple):
     """(2, n) positions of the pixels on that grid"""
     polar: bool
     """Whether the second axis of the grid is a full turn"""
+    step: float
+    """Largest angle between the facets [radian] that mirror one light to the camera from neighbouring points of the grid"""
+    with_step: Callable[[float], Shot]
+    """The same subject with a grid of a smaller step"""
 
     def upsampled(self, values: Array) -> Array:
         """Values of the coarse grid (points, channels) at the pixels (n, channels), by cubic splines."""
@@ -82,21 +87,22 @@ class _Splines(NamedTuple):
     def __call__(self, field: Array) -> Array:
         """Values (first, second, channels) to those at the positions, (positions, channels)."""
         first, second = self.coefficients
-        solved = np.einsum("ai,ijc->ajc", first, field)
-        solved = np.einsum("bj,ajc->abc", second, solved)
-        return np.asarray(self.basis @ solved.reshape(-1, field.shape[-1]))
+        solved = second @ np.tensordot(first, field, 1)
+        return np.asarray(self.basis @ solved.reshape(-1, field.shape[-1]).astype(np.float32))
 
 
-@cached_by_content(4)
+@cached_by_content(6)
 def _splines(shape: NDArray[np.int64], position: Array) -> _Splines:
     """The splines over a grid of a shape, at positions (2, n) of it; the same pixels for every material."""
     (solve_first, first, of_first), (solve_second, second, of_second) = (
         _basis(int(count), at) for count, at in zip(shape, position, strict=True)
     )
     weights = of_first[:, :, None] * of_second[:, None, :]
-    columns = first[:, :, None] * shape[1] + second[:, None, :]
-    ends = np.arange(len(weights) + 1) * weights[0].size
-    basis = csr_array((weights.ravel(), columns.ravel(), ends), shape=(len(weights), int(np.prod(shape))))
+    columns = (first[:, :, None] * shape[1] + second[:, None, :]).astype(np.int32)
+    ends = np.arange(len(weights) + 1, dtype=np.int32) * weights[0].size
+    basis = csr_array(
+        (weights.ravel().astype(np.float32), columns.ravel(), ends), shape=(len(weights), int(np.prod(shape)))
+    )
     return _Splines((solve_first, solve_second), basis)
 
 
@@ -113,7 +119,7 @@ def _basis(count: int, position: Array) -> tuple[Array, NDArray[np.int64], Array
     return np.asarray(np.linalg.inv(values)), columns, np.asarray(at.data.reshape(-1, 4))
 
 
-@lru_cache(maxsize=4)
+@lru_cache(maxsize=8)
 def sphere(side: int, rings: int = 40, turns: int = 72) -> Shot:
     """A distant sphere, brushed along its circles of latitude."""
     x, z = _pixels(side, 0.5 / SPHERE_RADIUS)
@@ -134,7 +140,13 @@ def sphere(side: int, rings: int = 40, turns: int = 72) -> Shot:
         (rings, turns),
         position,
         True,
+        max(np.pi / 2 / (rings - 1), 2 * np.pi / turns),
+        partial(_finer_sphere, side),
     )
+
+
+def _finer_sphere(side: int, step: float) -> Shot:
+    return sphere(side, int(np.ceil(np.pi / 2 / step)) + 1, 2 * int(np.ceil(np.pi / step)))
 
 
 def _on_sphere(sine: Array, turn: Array, width: float) -> Points:
@@ -145,7 +157,7 @@ def _on_sphere(sine: Array, turn: Array, width: float) -> Points:
     return Points(normal, np.broadcast_to(_CAMERA, normal.shape), lay, width / np.sqrt(cosine))
 
 
-@lru_cache(maxsize=4)
+@lru_cache(maxsize=8)
 def panel(side: int, lines: int = 24) -> Shot:
     """A square panel that leans back, brushed from left to right."""
     normal = np.array(PANEL_NORMAL) / np.linalg.norm(PANEL_NORMAL)
@@ -165,7 +177,16 @@ def panel(side: int, lines: int = 24) -> Shot:
     spread = PANEL_FIELD / side
     points = partial(_on_panel, normal=normal, axes=axes, camera=camera, spread=spread)
     pixels = np.clip(np.stack([v[covered], u[covered]], axis=-1), -1, 1)
-    return Shot(points(pixels), coverage, points(grid), (lines, lines), (pixels.T + 1) / 2 * (lines - 1), False)
+    position = (pixels.T + 1) / 2 * (lines - 1)
+    # Half of the angle between the views.
+    step = PANEL_HALF_SIDE / (lines - 1) / PANEL_DISTANCE
+    return Shot(
+        points(pixels), coverage, points(grid), (lines, lines), position, False, step, partial(_finer_panel, side)
+    )
+
+
+def _finer_panel(side: int, step: float) -> Shot:
+    return panel(side, int(np.ceil(PANEL_HALF_SIDE / PANEL_DISTANCE / step)) + 1)
 
 
 def _on_panel(position: Array, normal: Array, axes: Array, camera: Array, spread: float) -> Points:

@@ -16,7 +16,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from brdfpipe.appearance.lights import STRAIGHT_DOWN, Floats, Lights, golden_spiral
+from brdfpipe.appearance.lights import STRAIGHT_DOWN, Filtered, Floats, Lights, filtered, golden_spiral
 from brdfpipe.appearance.preview_geometry import Points
 from brdfpipe.bsdf.registry import representation
 from brdfpipe.geometry import Array, angles_of, unit_vector
@@ -62,15 +62,17 @@ class Table:
     phi: Array
     """(azimuths,) degree, increasing over a full turn; one for an isotropic BSDF"""
     lay: float
+    width: float
+    """Slope at which the lobe at normal view has half its height, across its narrow axis"""
     facets: Array
     """(nodes, 3) unit normals in the frame of the surface"""
     facet_angle: Array
     """(nodes,) solid angle of each facet [sr]"""
-    near: Array
+    near: Floats
     """(views, azimuths, nodes, channels) contributions of facets"""
     directions: Array
     """(nodes, 3)"""
-    far: Array
+    far: Floats
     """(views, azimuths, nodes, channels) contributions of directions"""
     mirror: Array
     """(views, azimuths, channels) share of the light that a smooth surface mirrors"""
@@ -88,7 +90,7 @@ class Table:
         directions = golden_spiral(1 - (np.arange(resolution.directions) + 0.5) / resolution.directions)
         nodes = len(facets) + len(directions)
         values = phi.size * nodes * (1 if wavelength is None else wavelength.size)
-        both = np.empty((theta.size, phi.size, nodes, channels.shape[1]))
+        both = np.empty((theta.size, phi.size, nodes, channels.shape[1]), dtype=np.float32)
         mirror = np.empty((theta.size, phi.size, channels.shape[1]))
         # Many views at once: a representation evaluates many directions faster, and prepares for each call.
         for rows in np.array_split(np.arange(theta.size), max(1, min(theta.size, theta.size * values // _MOST_VALUES))):
@@ -108,57 +110,67 @@ class Table:
             shares = representation(bsdf).specular(polar, around + 180, wavelength)[0]
             mirror[rows] = in_channels(shares, channels).reshape(rows.size, phi.size, -1)
         near, far = both[:, :, : len(facets)], both[:, :, len(facets) :]
-        return cls(theta, phi, lay, facets, facet_angle, near, directions, far, mirror)
+        return cls(theta, phi, lay, min(widths), facets, facet_angle, near, directions, far, mirror)
 
-    def near_light(self, points: Points, lights: Lights) -> Array:
-        """Light that facets near the mirror direction, and smooth surfaces, reflect to the camera: (points, channels)."""
-        return self._reflected_light(points, lights, near=True) + self._mirrored_light(points, lights)
+    def near_light(self, points: Points, *lights: Lights) -> Array:
+        """Light that facets near the mirror direction reflect to the camera, (points, channels).
 
-    def far_light(self, points: Points, lights: Lights) -> Array:
+        With several lights each has its own equal share of the channels, in their order.
+        """
+        return self._reflected_light(points, lights, near=True)
+
+    def far_light(self, points: Points, *lights: Lights) -> Array:
         """Light from all other directions, which varies slowly: (points, channels)."""
         return self._reflected_light(points, lights, near=False)
 
-    def _reflected_light(self, points: Points, lights: Lights, near: bool) -> Array:
-        weights = self.near if near else self.far
-        radiance = np.zeros((len(points.normal), weights.shape[-1]))
-        if weights.shape[2] == 0 or not weights.any():
-            return radiance
-        frame, theta, phi = self._local_views(points)
-        every = None if near else lights.filtered.in_frames(frame, self.directions)
-        for in_cell, corners, shares in self._table_cells(theta, phi):
-            table = np.concatenate([weights[corner] for corner in corners], axis=1).astype(np.float32)
-            step = max(1, _MOST_LOOKUPS // weights.shape[2])
-            for start in range(0, in_cell.size, step):
-                at = in_cell[start : start + step]
-                if every is None:
-                    light = self._from_facets(frame[at], points.view[at], points.spread[at], lights)
-                else:
-                    light = every[at]
-                by_corner = (light @ table).reshape(at.size, len(corners), -1)
-                radiance[at] = np.einsum("pc,pck->pk", shares[start : start + step], by_corner)
-        return radiance
-
-    def _from_facets(self, frame: Array, view: Array, spread: Array, lights: Lights) -> Floats:
-        from brdfpipe.appearance.light_kernel import mirrored_light
-
-        turned = np.einsum("pa,pca->pc", view, frame).mean(axis=0)
-        solid = 4 * np.maximum(self.facets @ (turned / np.linalg.norm(turned)), 0.01) * self.facet_angle
-        blur = np.hypot(_FACET_BLUR * np.sqrt(solid), float(spread.mean()))
-        filtered = lights.filtered
-        return mirrored_light(frame, self.facets, view, filtered.levels(blur), filtered.table, STRAIGHT_DOWN)
-
-    def _mirrored_light(self, points: Points, lights: Lights) -> Array:
+    def mirrored_light(self, points: Points, *lights: Lights) -> Array:
+        """Light that a smooth surface mirrors to the camera: (points, channels)."""
         radiance = np.zeros((len(points.normal), self.mirror.shape[-1]))
         if not self.mirror.any():
             return radiance
         _, theta, phi = self._local_views(points)
         cosine = (points.normal * points.view).sum(axis=1, keepdims=True)
         directions = 2 * cosine * points.normal - points.view
-        light = lights.of_pixels(directions, points.spread)
+        light = np.stack([one.of_pixels(directions, points.spread) for one in lights], axis=-1)
+        light = np.repeat(light, radiance.shape[1] // len(lights), axis=1)
         for in_cell, corners, shares in self._table_cells(theta, phi):
             reflectance = np.stack([self.mirror[corner] for corner in corners])
-            radiance[in_cell] = shares @ reflectance * light[in_cell, None]
+            radiance[in_cell] = shares @ reflectance * light[in_cell]
         return radiance
+
+    def _reflected_light(self, points: Points, lights: tuple[Lights, ...], near: bool) -> Array:
+        weights = self.near if near else self.far
+        radiance = np.zeros((len(points.normal), weights.shape[-1]))
+        if weights.shape[2] == 0 or not weights.any():
+            return radiance
+        frame, theta, phi = self._local_views(points)
+        lamps = filtered(lights)
+        every = None if near else lamps.in_frames(frame, self.directions)
+        for in_cell, corners, shares in self._table_cells(theta, phi):
+            # (corners, nodes, lights, channels) to (lights, nodes, corners, channels)
+            table = np.stack([weights[corner] for corner in corners])
+            table = table.reshape(*table.shape[:2], len(lights), -1).transpose(2, 1, 0, 3)
+            table = np.ascontiguousarray(table).reshape(len(lights), weights.shape[2], -1)
+            step = max(1, _MOST_LOOKUPS // weights.shape[2])
+            for start in range(0, in_cell.size, step):
+                at = in_cell[start : start + step]
+                if every is None:
+                    light = self._from_facets(frame[at], points.view[at], points.spread[at], lamps)
+                else:
+                    light = every[:, at]
+                by_corner = (light @ table).reshape(len(lights), at.size, len(corners), -1)
+                share = shares[start : start + step].astype(np.float32)[..., None]
+                seen = sum(share[:, corner] * by_corner[:, :, corner] for corner in range(len(corners)))
+                radiance[at] = np.moveaxis(seen, 0, 1).reshape(at.size, -1)
+        return radiance
+
+    def _from_facets(self, frame: Array, view: Array, spread: Array, lamps: Filtered) -> Floats:
+        from brdfpipe.appearance.light_kernel import mirrored_light
+
+        turned = np.einsum("pa,pca->pc", view, frame).mean(axis=0)
+        solid = 4 * np.maximum(self.facets @ (turned / np.linalg.norm(turned)), 0.01) * self.facet_angle
+        blur = np.hypot(_FACET_BLUR * np.sqrt(solid), float(spread.mean()))
+        return mirrored_light(frame, self.facets, view, lamps.levels(blur), lamps.table, STRAIGHT_DOWN)
 
     def _local_views(self, points: Points) -> tuple[Array, Array, Array]:
         """Axes of the surface (points, 3, 3), and the view in them [degree]."""

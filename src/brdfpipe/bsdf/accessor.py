@@ -52,6 +52,14 @@ class BSDFAccessor:
         # Figures belong to a higher layer, which the public package loads at first use; no stage asks an accessor for one.
         return sys.modules["brdfpipe"].figures.BSDFPlots(self._dataset)
 
+    def textured(self, texture: xr.Dataset, rest: xr.Dataset | None = None) -> Any:
+        """The BRDF with its visible structure: ``.textured(texture, rest).evaluate(theta_i, phi_i, theta_o, phi_o, x, y)``.
+
+        See :class:`brdfpipe.texture.textured.Textured`, which takes ``texture.nc`` and ``unresolved.nc``, or ``picture_texture.nc`` alone.
+        """
+        # Of a higher layer, as figures are.
+        return sys.modules["brdfpipe"].texture.Textured(self._dataset, texture, rest)
+
     def evaluate(
         self, theta_i: ArrayLike, phi_i: ArrayLike, theta_o: ArrayLike, phi_o: ArrayLike, wavelength: Wavelengths = None
     ) -> xr.DataArray:

@@ -59,6 +59,7 @@ def fit_lambert_gauss(bsdf: xr.Dataset, theta_i: ArrayLike, azimuth: float = 0.0
         attrs={"representation": LambertGauss.name, "source_representation": representation(bsdf).name},
     )
     if not representation(bsdf).isotropic:
+        result.attrs["light_azimuth"] = float(azimuth)
         result = vocabulary.add_warning(
             result,
             f"the surface has a lay, and the Lambert + Gaussian fit is valid for light from azimuth {azimuth:.1f}° alone: use the BSDF "

@@ -67,7 +67,8 @@ def representation(bsdf: xr.Dataset) -> Representation:
 
     def remove(reference: weakref.ref[xr.Dataset]) -> None:
         if key in _CACHE and _CACHE[key].dataset is reference:
-            del _CACHE[key]
+            # What was derived from the representation may refer to it, and would keep both until cyclic garbage is collected.
+            _CACHE.pop(key).representation.derived.clear()
 
     # The shallow copy shares the arrays; a reference to the dataset itself would keep it alive.
     made = REPRESENTATIONS[name](bsdf.copy())

@@ -28,7 +28,9 @@ def properties(bsdf: xr.Dataset) -> dict[str, str]:
     evaluator, attrs = representation(bsdf), bsdf.attrs
     sides = "reflection and transmission" if evaluator.transmits else "reflection"
     lay = "no lay"
-    if not evaluator.isotropic:
+    if "light_azimuth" in attrs:
+        lay = f"that of the source is left out: for light from azimuth {float(attrs['light_azimuth']):g}° alone"
+    elif not evaluator.isotropic:
         lay = "depends on the azimuth" if evaluator.lay is None else f"{round(evaluator.lay, 1):g}°"
     if bsdf.sizes.get("wavelength") and bsdf["wavelength"].ndim == 1:
         nm = bsdf["wavelength"].values

@@ -117,8 +117,13 @@ def error_of(bsdf: xr.Dataset, evaluate: Evaluate, pairs: Pairs, wavelength: Arr
 def errors_at(bsdf: xr.Dataset, evaluate: Evaluate, pairs: Pairs, wavelength: Array | None = None) -> Array:
     """|read − given|·|cos θ_o| over the larger of the given BRDF·|cos θ_o| and :data:`FLOOR`, (n, wavelength) [1]."""
     given = representation(bsdf).evaluate(*pairs, wavelength)
-    cosine = np.abs(np.cos(np.radians(pairs.theta_o)))[:, None]
-    return np.asarray(np.abs(evaluate(*pairs, wavelength) - given) * cosine / np.maximum(given * cosine, FLOOR))
+    return relative_errors(evaluate(*pairs, wavelength), given, pairs.theta_o)
+
+
+def relative_errors(read: Array, given: Array, theta_o: Array) -> Array:
+    """As :func:`errors_at`, of values (n, wavelength) [sr-1] at polar angles (n,) of view [degree]."""
+    cosine = np.abs(np.cos(np.radians(theta_o)))[:, None]
+    return np.asarray(np.abs(read - given) * cosine / np.maximum(given * cosine, FLOOR))
 
 
 def rules(bsdf: xr.Dataset, theta_i: float, phi_i: float = 0.0) -> list[Directions]:

@@ -120,8 +120,9 @@ class Config(Keys):
         "how well the inputs of a prediction are known before they are fitted to what a rig measured; 0 keeps an input as it is"
     )
     preview: bool = key("whether the report shows a rendered picture of the material")
-    preview_light: Annotated[str, OneOf(("studio", "sun", "overcast"))] = key(
-        "light of the picture: studio (soft boxes), sun (a small disc under a clear sky) or overcast (a sky alone)"
+    preview_light: Annotated[str, OneOf(("studio", "sun", "overcast", "spot", "tubes"))] = key(
+        "light of the picture: studio (soft boxes), sun (a small disc under a clear sky), overcast (a sky alone), "
+        "spot (one lamp) or tubes (rows of them)"
     )
     exports: Annotated[list[Annotated[str, OneOf(WRITTEN)]], Items()] = key(
         "files for materials without `exports`; " + EXPORT_WORDS

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from brdfpipe.catalogue.configuration import check_illuminant
@@ -49,6 +50,9 @@ def check_formats(material: Material) -> None:
         key = key.removesuffix(".scans")
         if path.stat().st_size == 0:
             raise InputError(path, "an empty file", key=f"{key}.file")
+        if part.startswith("texture-"):
+            _check_picture(path, key)
+            continue
         if part == "table":
             format_of(path, content["table"].get("format"))
             continue
@@ -91,6 +95,14 @@ def check_flakes(colours: xr.Dataset, material: Material) -> None:
     from brdfpipe.bsdf import flake
 
     flake.build(colours, **_read_by_stage(material, "flake"))
+
+
+def _check_picture(path: Path, key: str) -> None:
+    from brdfpipe.texture.picture_reading import PICTURES
+
+    if path.suffix.lower() not in PICTURES:
+        found, accepted = path.suffix or "none", ", ".join(PICTURES)
+        raise InputError(path, "unknown file extension", found=found, accepted=accepted, key=f"{key}.file")
 
 
 def _read_by_stage(material: Material, stage: str) -> dict[str, Any]:

@@ -43,7 +43,8 @@ DESCRIPTIONS: Mapping[str, Any] = {
 
 RIG_TEMPLATE = """\
 One camera rig. The values are those of a bench like the one of the Keldysh preprint; replace them by your own.
-docs/rig.md explains every key; `brdfpipe rig doctor rig.yaml` tries the devices."""
+docs/rig.md explains every key; `brdfpipe rig doctor rig.yaml` tries the devices.
+Without an angular target remove `target` here, and `target` from the `runs` of plan.yaml."""
 
 PLAN_TEMPLATE = """\
 One measurement of one sample. docs/rig.md explains every key.
@@ -118,6 +119,12 @@ coat: {{thickness: 0.04, absorption: 2, base: {{index: {{n: 1.2, k: 7.0}}, surfa
 # Readings of the laboratory's own instruments, beside which the prediction is put.
 measured: {{gloss: {{20: 3.1, 60: 22.4, 85: 48}}, instrument: hand-held gloss meter, date: 2026-01-31}}
 
+# Visible structure beside the BRDF, of a scan, for scenes that ask for it: docs/texture.md.
+texture: {{pixel: 10, size: 512, method: spectrum}}
+
+# … or of an effect paint, from pictures.
+texture: {{pictures: [{{file: 45as15.tif, geometry: 45as15}}], pixel: 20, curve: linear}}
+
 # How the reflection is modelled, where the defaults do not fit; docs/model.md says what each choice breaks.
 model: {rendering.flow({"optics": OPTICS[0], **MODEL_DEFAULTS, "truth": TRUTHS[0]})}
 
@@ -134,7 +141,7 @@ def templates() -> dict[str, str]:
         "config/material.template.yaml": rendering.alternatives(
             material_keys.Material, MATERIAL_TEMPLATE, MATERIAL_BLOCKS
         ),
-        "config/rig.template.yaml": rendering.template(RigKeys, RIG_TEMPLATE),
+        "config/rig.template.yaml": rendering.template(RigKeys, RIG_TEMPLATE, included=("target",)),
         "config/plan.template.yaml": rendering.template(PlanKeys, PLAN_TEMPLATE),
     }
 
@@ -171,6 +178,7 @@ def key_tables() -> dict[str, dict[str, str]]:
             "calibration": rendering.table(calibration_keys.Calibration),
             "certificate": rendering.table(CertificateKeys),
         },
+        "docs/texture.md": {"texture": rendering.table(keys.Texture, "texture.")},
         "docs/veiling-glare.md": {"glare": rendering.table(GlareKeys, "glare.")},
         "docs/scenes.md": {
             "scenes": _scene_table(),

@@ -145,6 +145,8 @@ def raw_files(content: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
         holder = at_key(content, key)
         if isinstance(holder, Mapping) and "file" in holder:
             yield part, key, holder["file"]
+    for number, picture in enumerate(content.get("texture", {}).get("pictures", []), start=1):
+        yield f"texture-{number}", "texture.pictures", picture["file"]
     for number, scan in enumerate(content.get("surface", {}).get("scans", []), start=2):
         yield f"surface-{number}", "surface.scans", scan["file"]
 

@@ -889,6 +889,78 @@ class TableFile(Keys):
     )
 
 
+# --- texture
+
+
+class ScanTexture(Keys):
+    """The grain of a measured surface as a tileable map."""
+
+    pixel: float = key(
+        "side of a pixel of the map, from the pitch of the scan to a 32nd of its shorter side",
+        required=True,
+        unit="µm",
+        gt=0,
+        le=10_000,
+        example=10,
+        details="A scene with a `viewing_distance` makes it coarser.",
+    )
+    size: Annotated[int, WHOLE] = key("pixels along either side of the map", default=512, ge=32, le=4096)
+    method: Annotated[str, OneOf(("spectrum", "structure"))] = key(
+        "how the map is made: spectrum (power spectrum and heights, random phases) or structure (pieces of the scan; keeps cells and ridges)",
+        default="spectrum",
+    )
+    seed: Annotated[int, WHOLE] = key("the same seed gives the same map", default=0, ge=0, le=1_000_000)
+    interpolation: Annotated[str, OneOf(("bilinear", "nearest"))] = key(
+        "how the renderer interpolates between pixels: bilinear or nearest", default="bilinear"
+    )
+
+
+class TexturePicture(Keys):
+    """A picture of a paint at one geometry."""
+
+    file: str = _file("a linear picture, seen along the normal of the sample", example="45as15.tif")
+    geometry: str = key(
+        "geometry of the picture as `multiangle` names it, or diffuse", required=True, max_length=40, example="45as15"
+    )
+
+
+class PictureTexture(Keys):
+    """The texture of an effect paint from pictures."""
+
+    pictures: list[TexturePicture] = key(
+        "pictures, each {file, geometry}: PNG or TIFF, grey or colour of 8 bits, or grey of 16 bits or 32-bit floats",
+        required=True,
+        default_words="instead of a scan's grain",
+        min_length=1,
+        max_length=8,
+    )
+    pixel: float = key(
+        "side of a pixel of the pictures on the sample", required=True, unit="µm", gt=0, le=10_000, example=20
+    )
+    curve: Annotated[str, OneOf(("linear", "srgb"))] = key(
+        "what the values are to the light: linear (proportional) or srgb",
+        default_words="`srgb` of 8 bits, with a warning, else `linear`",
+    )
+    size: Annotated[int, WHOLE] = key("pixels along either side of the texture", default=512, ge=32, le=4096)
+    method: Annotated[str, OneOf(("structure", "spectrum"))] = key(
+        "how the texture is made: structure (pieces of the picture; keeps sparkles) or spectrum (power spectrum and values, random phases)",
+        default="structure",
+    )
+    seed: Annotated[int, WHOLE] = key("the same seed gives the same texture", default=0, ge=0, le=1_000_000)
+
+    @model_validator(mode="after")
+    def _check_geometries(self) -> Self:
+        names = [picture.geometry.strip() for picture in self.pictures]
+        if repeated := next((name for number, name in enumerate(names) if name in names[:number]), None):
+            raise InputError("", "two pictures of one geometry", where="pictures", found=repeated, accepted="each once")
+        return self
+
+
+Texture = Annotated[
+    ScanTexture | PictureTexture, Choice(lambda given: int(isinstance(given, Mapping) and "pictures" in given))
+]
+
+
 # --- rig
 
 
@@ -1153,6 +1225,11 @@ class Material(Keys):
         "a table of the BSDF, from another program or instrument {file, format, quantity}",
         details="It needs nothing else. See [tables of other programs](#tables-of-other-programs).",
     )
+    texture: Texture = key(
+        "visible structure beside the BRDF, for scenes that ask for `texture`: the grain of the scan as a tileable map {pixel, size, method, seed, interpolation}, "
+        "or an effect paint {pictures, pixel, curve, size, method, seed}",
+        details="See [texture](texture.md).",
+    )
     rig: RigRoute = key(
         "a measurement with a camera rig {run, calibration, …}, or one that the emulator makes {plan, emulate, calibration, …}",
         details="See [the camera rig](rig.md#from-a-run-to-a-bsdf).",
@@ -1276,6 +1353,25 @@ class Material(Keys):
             if found:
                 raise InputError("", problem, where="model.truth", found="'use'", accepted=accepted)
         return self
+
+    @model_validator(mode="after")
+    def _check_texture(self) -> Self:
+        """Refuse the texture of a scan where there is no scan, or where the BRDF is not that of its facets alone."""
+        if not isinstance(self.texture, ScanTexture):
+            return self
+        other = next((name for name in ("slab", "coat", "rig", "multiangle") if getattr(self, name) is not None), None)
+        measured = isinstance(self.surface, MeasuredSurface) and not self.surface.is_line
+        if measured and other is None:
+            return self
+        problem = "the grain of a scan needs a height map, of which the BRDF is predicted"
+        found = f"`{other}`" if measured else "no `surface.file` with a map"
+        raise InputError(
+            "",
+            problem,
+            where="texture",
+            found=found,
+            accepted="a measured areal `surface` on an opaque body, or no `texture`",
+        )
 
     @property
     def two_faces(self) -> tuple[str, str, Any] | None:

@@ -40,6 +40,9 @@ def _described(catalogue: Catalogue, material: Material) -> list[str]:
     lines: list[str] = []
     scans: list[xr.Dataset] = []
     for part, path in material.files.items():
+        if part.startswith("texture-"):
+            lines += _picture_words(material, path)
+            continue
         if part in ("rig", "mask", "spectrum_sce"):  # frames; the others are read with their map or spectrum
             continue
         name, _, number = part.partition("-")
@@ -57,6 +60,15 @@ def _described(catalogue: Catalogue, material: Material) -> list[str]:
     if scans:
         _check_scans(catalogue, material, scans)
     return lines
+
+
+def _picture_words(material: Material, path: Path) -> Iterator[str]:
+    from brdfpipe.texture.picture_reading import read_picture
+
+    picture = read_picture(path, material.content["texture"].get("curve"))
+    rows, columns = picture.values.shape
+    yield f"{path.name}: a picture of {columns} x {rows} pixels"
+    yield from (f"  warning: {text.removeprefix(f'{path.name}: ')}" for text in picture.warnings)
 
 
 def _read(part: str, path: Path, spec: dict[str, Any], beside: Path | None, body: str) -> xr.Dataset:

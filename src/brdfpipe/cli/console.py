@@ -7,7 +7,7 @@ import sys
 from collections.abc import Callable
 from functools import wraps
 from pathlib import Path
-from typing import ParamSpec
+from typing import Any, ParamSpec
 
 import click
 
@@ -22,6 +22,30 @@ FILE = click.Path(path_type=Path, dir_okay=False, exists=True)
 
 FILE_KINDS = ("bsdf", "surface", "spectrum", "index")
 """What a file may hold that a command reads."""
+
+
+class Commands(click.Group):
+    """A group whose errors of usage have the form of all others: one line, with exit code 2."""
+
+    def main(self, *args: Any, **extra: Any) -> Any:
+        alone = extra.pop("standalone_mode", True)
+        run: Callable[..., Any] = super().main
+        if not alone:
+            return run(*args, standalone_mode=False, **extra)
+        try:
+            code = run(*args, standalone_mode=False, **extra)
+        except click.exceptions.NoArgsIsHelpError as usage:
+            usage.show()
+            code = 2
+        except click.ClickException as refusal:
+            code = refusal.exit_code
+            words = printable(refusal.format_message()).rstrip(".")
+            context = getattr(refusal, "ctx", None)
+            hint = f"; see `{context.command_path} --help`" if context else ""
+            click.echo(f"brdfpipe: {words[:1].lower()}{words[1:]}{hint}", err=True)
+        except click.Abort:
+            code = 130
+        sys.exit(code if isinstance(code, int) else 0)
 
 
 def print_json(plain: object) -> None:

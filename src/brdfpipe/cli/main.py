@@ -14,16 +14,17 @@ from pathlib import Path
 
 import click
 
-from brdfpipe.cli.console import FILE, FOLDER, PRESENT, exit_on_error, print_json
+from brdfpipe.cli.console import FILE, FOLDER, PRESENT, Commands, exit_on_error, print_json
 from brdfpipe.cli.doctor import doctor
 from brdfpipe.cli.rig import rig
 from brdfpipe.cli.serving import serve
 from brdfpipe.cli.show import plot, show
 from brdfpipe.cli.tables import compare, convert, formats
+from brdfpipe.cli.watching import watch
 from brdfpipe.errors import BrdfpipeError, printable
 
 
-@click.group(context_settings={"help_option_names": ["-h", "--help"]})
+@click.group(cls=Commands, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(version("brdfpipe"), prog_name="brdfpipe")
 def main() -> None:
     """Trustworthy BRDFs for a catalogue of plastics, paints and films."""
@@ -367,6 +368,7 @@ def _cores() -> int:
     return os.cpu_count() or 1
 
 
+rig.add_command(watch)
 for command in (show, plot, convert, compare, formats, doctor, rig, serve):
     main.add_command(command)
 

@@ -1,4 +1,4 @@
-"""The commands of a rig: ``brdfpipe rig new``, ``doctor``, ``scan`` and ``emulate``.
+"""The commands of a rig: ``brdfpipe rig new``, ``doctor``, ``scan``, ``watch``, ``next`` and ``emulate``.
 
 Exit codes: 0 done, 1 a device failed or the scan stopped before its end, 2 the command or a description cannot be used, 130 interrupted.
 """
@@ -128,6 +128,36 @@ def scan(
     return 0
 
 
+@rig.command("next", short_help="Propose what to measure next.")
+@click.argument("results", type=FOLDER)
+@click.argument("plan_file", metavar="PLAN.yaml", type=FILE)
+@exit_on_error
+def propose_next(results: Path, plan_file: Path) -> int:
+    """Propose the next incidences and wavelengths of a sample, from the RESULTS of its material and the PLAN.yaml of its rig."""
+    from brdfpipe.bsdf.measured.proposals import propose
+    from brdfpipe.rig.plan import Plan
+    from brdfpipe.store import open_dataset
+
+    for name in ("primary-reflection.nc", "measured.nc"):
+        if not (results / name).is_file():
+            accepted = "the folder of a built material with a run of a rig, `results/NAME`"
+            raise InputError(results, f"no {name}", accepted=accepted)
+    primary = open_dataset(results / "primary-reflection.nc", "primary")
+    measured = open_dataset(results / "measured.nc", "bsdf")
+    found = propose(primary, measured, Plan.load(plan_file).rig.entrances)
+    for at, error in found.again:
+        click.echo(f"again {at:g}°: contradicts the other incidences by {error:.1f} times its uncertainty")
+    for at, error in found.incidences:
+        click.echo(f"incidence {at:g}°: uncertain by {error:.1%} more than the measured ones")
+    for at, error in found.wavelengths:
+        click.echo(f"wavelength {at:g} nm: linear interpolation errs by about {error:.1%}")
+    if not any(found):
+        click.echo(
+            "Nothing more to measure: interpolation errs by less than 1 %, and no incidence contradicts the others."
+        )
+    return 0
+
+
 @rig.command()
 @click.argument("description", metavar="RIG.yaml", type=FILE)
 @click.option(
@@ -141,8 +171,11 @@ def scan(
 @_SESSION
 @click.option("--out", type=FOLDER, default=None, help=f"Folder for {EMULATED}  [default: beside RIG.yaml]")
 @click.option("--realtime", is_flag=True, help="Let exposures and moves take real time.")
+@click.option("--dialect", default="usual", show_default=True, help="How the controllers speak: see docs/rig.md.")
 @exit_on_error
-def emulate(description: Path, truth_path: Path, seed: int, session: int, out: Path | None, realtime: bool) -> int:
+def emulate(
+    description: Path, truth_path: Path, seed: int, session: int, out: Path | None, realtime: bool, dialect: str
+) -> int:
     """Emulate a rig on its own serial ports, until Ctrl-C.
 
     Type what an operator does by hand: the entrance in degree, the load of the holder (sample, etalon, target or
@@ -156,7 +189,7 @@ def emulate(description: Path, truth_path: Path, seed: int, session: int, out: P
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     real, clock = Rig.load(description), VirtualClock(realtime=realtime)
     with (
-        EmulatedRig(real, truth(truth_path), seed=seed, session=session, clock=clock) as emulated,
+        EmulatedRig(real, truth(truth_path), seed=seed, session=session, clock=clock, dialect=dialect) as emulated,
         _emulated_description(description, emulated, out or description.parent) as written,
         _camera_serving(written.parent / EMULATED_CAMERA, emulated),
     ):

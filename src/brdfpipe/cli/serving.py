@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
 from http import HTTPStatus
-from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
+from http.server import BaseHTTPRequestHandler, SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
 import click
@@ -12,7 +13,7 @@ import click
 from brdfpipe.cli.console import PRESENT, exit_on_error
 from brdfpipe.errors import BrdfpipeError
 
-_LOOPBACK = "127.0.0.1"
+LOOPBACK = "127.0.0.1"
 
 DEFAULT_PORT = 8008
 
@@ -24,10 +25,8 @@ class _ResultsHandler(SimpleHTTPRequestHandler):
     sys_version = ""
 
     def send_head(self):  # type: ignore[no-untyped-def]
-        host = self.headers.get("Host", "").rpartition(":")[0] or self.headers.get("Host", "")
-        # Another host name that resolves to this address would let a page of the web read the results.
-        if host not in (_LOOPBACK, "localhost"):
-            return self.send_error(HTTPStatus.FORBIDDEN, f"only {_LOOPBACK} and localhost are served")
+        if not is_local(self.headers.get("Host", "")):
+            return self.send_error(HTTPStatus.FORBIDDEN, f"only {LOOPBACK} and localhost are served")
         folder, path = Path(self.directory).resolve(), Path(self.translate_path(self.path))
         try:
             inside = path.resolve().relative_to(folder)
@@ -51,6 +50,22 @@ class _ResultsHandler(SimpleHTTPRequestHandler):
         """No line for each file."""
 
 
+def is_local(host: str) -> bool:
+    """Whether a Host header names this machine: another name that resolves to it would let a page of the web read what is served."""
+    return (host.rpartition(":")[0] or host) in (LOOPBACK, "localhost")
+
+
+def loopback_server(handler: Callable[..., BaseHTTPRequestHandler], port: int) -> ThreadingHTTPServer:
+    """A server on the loopback address; port 0 takes a free one. Raises BrdfpipeError: the port is in use."""
+    try:
+        return ThreadingHTTPServer((LOOPBACK, port), handler)
+    except OSError as error:
+        reason = error.strerror or error
+        raise BrdfpipeError(
+            f"port {port} of {LOOPBACK}: {reason}; choose another with --port, or 0 for a free one"
+        ) from error
+
+
 def server(results: Path, port: int) -> ThreadingHTTPServer:
     """A server of a folder of results on the loopback address; port 0 takes a free one.
 
@@ -62,13 +77,7 @@ def server(results: Path, port: int) -> ThreadingHTTPServer:
         raise BrdfpipeError(
             f"{results}: no index.html; expected a folder of results that `brdfpipe build` has finished"
         )
-    try:
-        return ThreadingHTTPServer((_LOOPBACK, port), partial(_ResultsHandler, directory=str(results)))
-    except OSError as error:
-        reason = error.strerror or error
-        raise BrdfpipeError(
-            f"port {port} of {_LOOPBACK}: {reason}; choose another with --port, or 0 for a free one"
-        ) from error
+    return loopback_server(partial(_ResultsHandler, directory=str(results)), port)
 
 
 @click.command(short_help="Show RESULTS in a browser on this machine.")
@@ -83,7 +92,7 @@ def serve(results: Path, port: int) -> int:
     No other machine can reach it. Pages also open without it, as files.
     """
     with server(results, port) as running:
-        click.echo(f"http://{_LOOPBACK}:{running.server_address[1]}/index.html (Ctrl+C ends it)")
+        click.echo(f"http://{LOOPBACK}:{running.server_address[1]}/index.html (Ctrl+C ends it)")
         try:
             running.serve_forever()
         except KeyboardInterrupt:

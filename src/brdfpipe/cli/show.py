@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
 import click
 
-from brdfpipe.cli.console import FILE_KINDS, exit_on_error
+from brdfpipe.cli.console import FILE_KINDS, exit_on_error, print_json
 from brdfpipe.errors import printable
 
 _PLOTS = ("polar", "cartesian", "lobe", "map", "preview")
@@ -46,7 +45,7 @@ def show(path: Path, kind: str | None, settings: tuple[str, ...], no_plot: bool,
         dataset = summaries.read_any(path, kind, settings)
         found = summaries.of_dataset(dataset)
     if as_json:
-        click.echo(json.dumps(found, indent=1, ensure_ascii=False))
+        print_json(found)
         return 0
     lines = summaries.lines(found)
     if dataset is not None and not no_plot:

@@ -157,7 +157,7 @@ def of_dataset(dataset: xr.Dataset) -> dict[str, Any]:
                 )
         for name in ("stage", "material", "method", "band", "history"):
             if text := str(dataset.attrs.get(name, "")):
-                found[name] = "; ".join(text.splitlines())
+                found[name] = " ".join(text.splitlines())
     if warned := vocabulary.warnings(dataset):
         found["warnings"] = warned
     return found
@@ -174,13 +174,26 @@ def lines(found: dict[str, Any]) -> list[str]:
     return list(_listed(found, ""))
 
 
+_ROUNDING = 1e-9
+"""Below it a value without a unit, and its uncertainty, are nothing but rounding."""
+
+
+def _number(value: float, u: float | None, unit: str = "") -> str:
+    """A value, with the digits that its uncertainty leaves to it where that is known."""
+    if u and not unit and max(abs(value), u) < _ROUNDING:
+        return "0"
+    if not u or not math.isfinite(u) or not math.isfinite(value):
+        return f"{value:.6g}"
+    digits = 1 - math.floor(math.log10(u))
+    return f"{value:.{digits}f} ± {u:.{digits}f}" if 0 <= digits <= 6 else f"{value:.6g} ± {u:.2g}"
+
+
 def _listed(found: dict[str, Any], indent: str) -> Iterator[str]:
     width = max((len(name) for name in found), default=0) + 2
     for name, value in found.items():
         if isinstance(value, dict) and "value" in value:
-            u = f" ± {value['u']:.2g}" if value.get("u") else ""
             unit = "" if value.get("unit") in ("", "1") else f" {value['unit']}"
-            yield f"{indent}{name:<{width}}{value['value']:.6g}{u}{unit}"
+            yield f"{indent}{name:<{width}}{_number(value['value'], value.get('u'), unit)}{unit}"
         elif isinstance(value, dict) and all(isinstance(one, int | float) for one in value.values()):
             yield f"{indent}{name:<{width}}" + "  ".join(f"{key} {one:.4g}" for key, one in value.items())
         elif isinstance(value, dict):

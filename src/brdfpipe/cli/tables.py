@@ -15,6 +15,7 @@ from brdfpipe.errors import InputError, printable
 from brdfpipe.exchange.registry import FORMATS, GRID_OPTIONS, QUANTITIES, WRITTEN
 
 _READ = click.Choice([name for name, known in FORMATS.items() if known.read])
+_RESULTS_OR_FILE = click.Path(path_type=Path, exists=True)
 _QUANTITY = click.Choice(QUANTITIES)
 _OPTIONS = sorted({*GRID_OPTIONS, *(name for known in FORMATS.values() for name in known.options)})
 
@@ -113,9 +114,9 @@ def _option(text: str) -> tuple[str, object]:
         return name, value
 
 
-@click.command(short_help="Compare the BSDFs of two files.")
-@click.argument("first", type=FILE)
-@click.argument("second", type=FILE)
+@click.command(short_help="Compare two BSDFs.")
+@click.argument("first", type=_RESULTS_OR_FILE)
+@click.argument("second", type=_RESULTS_OR_FILE)
 @click.option("--first-from", type=_READ, default=None, help="Format of FIRST  [default: that of its suffix]")
 @click.option("--first-quantity", type=_QUANTITY, default=None, help="What its values are  [default: what it says]")
 @click.option("--second-from", type=_READ, default=None, help="Format of SECOND  [default: that of its suffix]")
@@ -131,18 +132,20 @@ def compare(
     second_quantity: str | None,
     as_json: bool,
 ) -> int:
-    """Compare the BSDFs of two files, bsdf.nc of results or files of other programs: by direction, in reflectance, gloss and colour.
+    """Compare two BSDFs, each of the results of a material, a bsdf.nc or a file of another program: by direction, in reflectance, gloss and colour.
 
     Prints the warnings of files of other programs.
     """
     import numpy as np
 
+    from brdfpipe.cli.summaries import bsdf_of
     from brdfpipe.comparison.bsdf_difference import as_text, difference
     from brdfpipe.exchange.conversion import NETCDF, open_bsdf
 
     bsdfs = []
     given = (first, "first", first_from, first_quantity), (second, "second", second_from, second_quantity)
-    for path, name, read_as, quantity in given:
+    for place, name, read_as, quantity in given:
+        path = bsdf_of(place) if place.is_dir() else place
         with _options_in_place_of_keys({"table.format": f"--{name}-from", "table.quantity": f"--{name}-quantity"}):
             bsdfs.append(open_bsdf(path, read_as, quantity))
         if path.suffix.lower() != NETCDF:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from typing import Any, get_args, get_origin
 
 import yaml
@@ -44,12 +44,15 @@ def _without_notes(schema: Any) -> Any:
 # --- the template
 
 
-def template(model: type[Keys], introduction: str) -> str:
-    """A description to start from: every key that has an example or a default, with its help as a comment."""
-    return f"{_comment(introduction)}\n" + "\n".join(_template_lines(model, "")) + "\n"
+def template(model: type[Keys], introduction: str, included: Collection[str] = ()) -> str:
+    """A description to start from: every key that has an example or a default, with its help as a comment.
+
+    Keys without a default that are not required are commented out, except those ``included``.
+    """
+    return f"{_comment(introduction)}\n" + "\n".join(_template_lines(model, "", included)) + "\n"
 
 
-def _template_lines(model: type[Keys], indent: str) -> Iterator[str]:
+def _template_lines(model: type[Keys], indent: str, included: Collection[str] = ()) -> Iterator[str]:
     for name, field in model.declared_keys().items():
         notes = notes_of(field)
         value = notes.example
@@ -60,7 +63,7 @@ def _template_lines(model: type[Keys], indent: str) -> Iterator[str]:
             continue
         if not indent:
             yield ""
-        optional = not indent and not field.is_required() and field.default is None
+        optional = not indent and not field.is_required() and field.default is None and name not in included
         yield from (_commented(line) if optional else line for line in _key_lines(name, field, value, block, indent))
 
 

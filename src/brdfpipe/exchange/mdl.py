@@ -45,6 +45,8 @@ _REFLECTED = (_REFLECTION, b"MBSDF_DATA=\n")
 _HEAD = struct.Struct("<3I")
 _CHANNELS = {0: 1, 1: 3}
 _FEWEST = 8
+_NEAR = 1.05
+"""Error over the least one with which cells are small enough."""
 _MOST_CELLS = 50_000_000
 _LONGEST_HEADER = 65_536
 
@@ -75,7 +77,10 @@ def write(
         )
 
     most = max(count for count in range(_FEWEST, 1000) if 2 * count**3 <= largest)
-    count = cell_means.smallest(error_at, tolerance, albedo_tolerance, range(_FEWEST, most + 1))
+    least = cell_means.of_both_orders(sides["reflection"])
+    # More cells than come near to the least error would not help.
+    reached = max(tolerance, _NEAR * least.percentile_95), max(albedo_tolerance, _NEAR * least.albedo)
+    count = cell_means.smallest(error_at, *reached, range(_FEWEST, most + 1))
     means = [
         cell_means.cell_means(gridded.linear_rgb(seen) if colour else gridded.photopic(seen), _edges(count))
         for seen in sides.values()
@@ -89,7 +94,7 @@ def write(
     record = records.record(
         cell_means.CellTable(bsdf, values, error, reading, "rgb" if colour else "luminous", within), FORMAT
     )
-    record["left_out"] |= gamut
+    record["left_out"] |= gamut | cell_means.irreciprocity(least)
     with store.atomic_path(path) as temporary, temporary.open("wb") as file:
         file.write(_MAGIC)
         for number, sentence in enumerate(records.sentences(record)):

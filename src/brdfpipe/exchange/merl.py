@@ -51,7 +51,7 @@ def write(bsdf: xr.Dataset, path: Path) -> records.Record:
     record = records.record(cell_means.CellTable(bsdf, values, error, reading, "rgb"), FORMAT)
     between = cell_means.table_error(bsdf, table_nodes.interpolation(*_around(cell_means.luminous(values))))
     record["error"] |= {"interpolated": {"percentile_95": between.percentile_95, "albedo": between.albedo}}
-    record["left_out"] |= gamut
+    record["left_out"] |= gamut | cell_means.irreciprocity(cell_means.of_both_orders(bsdf))
     with store.atomic_path(path) as temporary, temporary.open("wb") as file:
         file.write(np.array(_SHAPE, dtype="<i4").tobytes())
         for channel, scale in enumerate(_SCALE):
@@ -65,7 +65,9 @@ def _values(channels: gridded.Channels) -> Array:
     for row in range(_SHAPE[0]):
         axes = {**AXES, "theta_h": AXES["theta_h"][[row]]}
         values[row] = cell_means.node_values(channels, "half", axes)[0]
-    return values
+    # Readers take the other half of the turn for the same with both directions exchanged, which mirrored about the plane of incidence is 180 - phi_d.
+    exchanged = -np.arange(_SHAPE[2]) % _SHAPE[2]
+    return (values + values[:, :, exchanged]) / 2
 
 
 def _around(values: Array) -> tuple[dict[str, Array], Array]:

@@ -1,6 +1,6 @@
-"""Parameters of closed formulas (``.parameters.json``): ABg, Harvey, K-correlation, and the widths of GGX and Beckmann, each with its error.
+"""Parameters of closed formulas (``.parameters.json``), each with its error.
 
-For optical design programs that take parameters instead of tables. A formula that is too far from the BSDF is listed with its error and without parameters.
+They are ABg, Harvey, K-correlation, Lambert + Gaussian, and the widths of GGX and Beckmann. For optical design programs that take parameters instead of tables. A formula that is too far from the BSDF is listed with its error and without parameters.
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ import xarray as xr
 
 from brdfpipe import store
 from brdfpipe.appearance.origin import METAL_EXTINCTION
-from brdfpipe.bsdf.nonspectral import nonspectral
 from brdfpipe.errors import InputError
 from brdfpipe.exchange import records
-from brdfpipe.exchange.fits import evaluated
-from brdfpipe.exchange.fits.fitting import Fit, Form, delta_e_of_greys, fit, index_of, luminance_of_rgb
+from brdfpipe.exchange.fits import evaluated, gauss
+from brdfpipe.exchange.fits.fitting import Fit, Form, fit
 from brdfpipe.exchange.fits.forms import Lobe, Material, by_albedo, dielectric
+from brdfpipe.exchange.fits.light import ReflectedLight, delta_e_of_greys, index_of, luminance_of_rgb
 from brdfpipe.exchange.fits.scatter import (
     FORMULAS,
     LISTED_INCIDENCES,
@@ -37,7 +37,7 @@ from brdfpipe.exchange.registry import ExchangeError, Format
 _LARGEST_PARAMETER = 1e12
 
 FORMAT = Format(
-    description="parameters of ABg, Harvey, K-correlation, GGX and Beckmann, fitted, for optical design programs",
+    description="parameters of ABg, Harvey, K-correlation, Lambert + Gaussian, GGX and Beckmann, fitted, for optical design programs",
     files={"reflection": {"write": (".parameters.json",)}},
     refuses=("lay",),
     options={"largest_error": 0.25, "largest_delta_e": 5.0},
@@ -64,11 +64,12 @@ def write(bsdf: xr.Dataset, path: Path, *, largest_error: float, largest_delta_e
     for option, value in (("largest_error", largest_error), ("largest_delta_e", largest_delta_e)):
         if not value > 0:
             raise ExchangeError(f"{option} is {value!r}; accepted: above 0")
-    limits = _Limits(largest_error, largest_delta_e)
-    fits = [_of_formula(bsdf, name, limits) for name in FORMULAS]
+    limits, light = _Limits(largest_error, largest_delta_e), ReflectedLight(bsdf)
+    fits = [_of_formula(light, name, limits) for name in FORMULAS]
+    fits.append(_of_gauss(light, limits))
     n, k = index_of(bsdf)
     if k < METAL_EXTINCTION:
-        fits += [_of_facets(bsdf, distribution, n, limits) for distribution in ("ggx", "beckmann")]
+        fits += [_of_facets(light, distribution, n, limits) for distribution in ("ggx", "beckmann")]
     if all("refused" in one and "refused" in one.get("by_incidence", one) for one in fits):
         least = min(fits, key=lambda one: max(float(one["error"]["median"]), float(one["error"]["albedo"])))
         raise ExchangeError(
@@ -97,16 +98,16 @@ class _Limits(NamedTuple):
     delta_e: float
 
 
-def _of_formula(bsdf: xr.Dataset, name: str, limit: _Limits) -> dict[str, Any]:
-    of_all = fit_formula(bsdf, name)
-    found = {float(theta_i): fit_formula(bsdf, name, float(theta_i)) for theta_i in LISTED_INCIDENCES}
+def _of_formula(light: ReflectedLight, name: str, limit: _Limits) -> dict[str, Any]:
+    of_all = fit_formula(light, name)
+    found = {float(theta_i): fit_formula(light, name, float(theta_i)) for theta_i in LISTED_INCIDENCES}
     incidences = [
         {"theta_i": theta_i, **_within(limit, one.parameters, _error(one.error))} for theta_i, one in found.items()
     ]
     kept = {theta_i: one.parameters for theta_i, one in found.items() if not _refusal(limit, _error(one.error))}
     listed: dict[str, Any] = {"refused": "every incidence is refused"}
     if kept:
-        error = _error(error_by_incidence(bsdf, name, kept))
+        error = _error(error_by_incidence(light, name, kept))
         refusal = _refusal(limit, error)
         listed = {"error": error, **({"refused": refusal} if refusal else {"incidences": incidences})}
     return {
@@ -117,13 +118,25 @@ def _of_formula(bsdf: xr.Dataset, name: str, limit: _Limits) -> dict[str, Any]:
     }
 
 
-def _of_facets(bsdf: xr.Dataset, distribution: str, index: float | None, limit: _Limits) -> dict[str, Any]:
-    found = fit(bsdf, Form(distribution, dielectric, by_albedo, index))
+def _of_gauss(light: ReflectedLight, limit: _Limits) -> dict[str, Any]:
+    rows, found = gauss.fit_gauss(light)
+    error = _error(found)
+    refusal = _refusal(limit, error)
+    incidences = [
+        {"theta_i": theta_i, "parameters": {name: _digits(value) for name, value in row.items()}}
+        for theta_i, row in rows.items()
+    ]
+    written = {"refused": refusal} if refusal else {"incidences": incidences}
+    return {"formula": "lambert_gauss", "brdf": gauss.WORDS, **written, "error": error}
+
+
+def _of_facets(light: ReflectedLight, distribution: str, index: float | None, limit: _Limits) -> dict[str, Any]:
+    found = fit(light, Form(distribution, dielectric, by_albedo, index))
     luminance = luminance_of_rgb()
     found = replace(
         found,
         delta_e=delta_e_of_greys(
-            nonspectral(bsdf), lambda *at: np.asarray(found.material.evaluate(*at[:4]) @ luminance)[:, None]
+            light.reduced, lambda *at: np.asarray(found.material.evaluate(*at[:4]) @ luminance)[:, None]
         ),
     )
     words = (
@@ -200,15 +213,25 @@ def _stated(path: Path, fit: dict[str, Any]) -> Iterator[_Stated]:
             yield _of_scatter(path, name, {0.0: parameters}, error)
         elif name in ("ggx", "beckmann"):
             yield _of_distribution(path, name, parameters, error)
+    if name in FORMULAS and (rows := _by_incidence(path, name, listed)):
+        yield _of_scatter(path, name, rows, _percentile(path, listed))
+    if name == "lambert_gauss" and (rows := _by_incidence(path, name, fit)):
+        yield _of_gaussians(path, rows, _percentile(path, fit))
+
+
+def _by_incidence(path: Path, name: str, listed: dict[str, Any]) -> dict[float, dict[str, Any]]:
+    """Increasing incidence [degree] → parameters; empty where there are none."""
     rows = listed.get("incidences")
-    if name in FORMULAS and isinstance(rows, list):
-        of_incidence = {
-            evaluated.number(path, row.get("theta_i"), "theta_i"): evaluated.part(path, row, "parameters")
-            for row in rows
-            if isinstance(row, dict) and "parameters" in row
-        }
-        if of_incidence:
-            yield _of_scatter(path, name, of_incidence, _percentile(path, listed))
+    found = {
+        evaluated.number(path, row.get("theta_i"), "theta_i"): evaluated.part(path, row, "parameters")
+        for row in (rows if isinstance(rows, list) else ())
+        if isinstance(row, dict) and "parameters" in row
+    }
+    theta_i = list(found)
+    if not (all(0 <= one <= 90 for one in theta_i) and (np.diff(theta_i) > 0).all()):
+        stated = ", ".join(f"{one:g}" for one in theta_i[:8])
+        raise InputError(path, f"the incidences of {name} do not increase", found=stated, accepted="0 to 90 degree")
+    return found
 
 
 def _percentile(path: Path, values: dict[str, Any]) -> float:
@@ -217,10 +240,7 @@ def _percentile(path: Path, values: dict[str, Any]) -> float:
 
 
 def _of_scatter(path: Path, name: str, listed: dict[float, dict[str, Any]], error: float) -> _Stated:
-    formula, theta_i = FORMULAS[name], list(listed)
-    if not (all(0 <= one <= 90 for one in theta_i) and (np.diff(theta_i) > 0).all()):
-        found = ", ".join(f"{one:g}" for one in theta_i[:8])
-        raise InputError(path, f"the incidences of {name} do not increase", found=found, accepted="0 to 90 degree")
+    formula = FORMULAS[name]
     parameters = {
         incidence: {key: _parameter(path, name, values, key) for key in (*formula.names, "L")}
         for incidence, values in listed.items()
@@ -237,6 +257,23 @@ def _of_scatter(path: Path, name: str, listed: dict[float, dict[str, Any]], erro
     )
 
 
+def _of_gaussians(path: Path, listed: dict[float, dict[str, Any]], error: float) -> _Stated:
+    rows = {
+        theta_i: {key: _parameter(path, "lambert_gauss", values, key, zero=True) for key in gauss.NAMES}
+        for theta_i, values in listed.items()
+    }
+    widths = [min(row["s_par"], row["s_perp"]) for row in rows.values() if row["G0"] > 0]
+    if widths and min(widths) == 0:
+        raise InputError(path, "a lobe of lambert_gauss has no width", found="0", accepted="s_par and s_perp above 0")
+    at = gauss.evaluation(rows)
+    return _Stated(
+        f"lambert_gauss by incidence ({len(rows)}), {gauss.WORDS}",
+        error,
+        float(np.clip(np.radians(min(widths, default=90.0)) / 4, 1e-4, 1.0)),
+        lambda theta_i, phi_i, theta_o, phi_o: at(theta_i, phi_i, theta_o, phi_o, None),
+    )
+
+
 def _of_distribution(path: Path, name: str, parameters: dict[str, Any], error: float) -> _Stated:
     alpha, n, base = (_parameter(path, name, parameters, key) for key in ("alpha", "n", "L"))
     if not (1 <= n <= evaluated.LARGEST_INDEX and alpha <= 1):
@@ -247,10 +284,11 @@ def _of_distribution(path: Path, name: str, parameters: dict[str, Any], error: f
     return _Stated(words, error, max(alpha, 1e-3), lambda *at: material.evaluate(*at)[:, :1])
 
 
-def _parameter(path: Path, formula: str, parameters: dict[str, Any], key: str) -> float:
+def _parameter(path: Path, formula: str, parameters: dict[str, Any], key: str, zero: bool = False) -> float:
+    """A number from 0; above it unless it is ``L``, or ``zero`` is accepted."""
     value = evaluated.number(path, parameters.get(key), f"{key} of {formula}")
     high = 1.0 if key == "L" else _LARGEST_PARAMETER
-    if not 0 <= value <= high or (value == 0 and key != "L"):
+    if not 0 <= value <= high or (value == 0 and key != "L" and not zero):
         raise InputError(
             path, f"{key} of {formula} is out of range", found=f"{value:g}", accepted=f"above 0, to {high:g}"
         )

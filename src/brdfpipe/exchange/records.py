@@ -114,18 +114,42 @@ def statements(record: Mapping[str, Any]) -> list[str]:
 
 def errors_in_words(record: Mapping[str, Any]) -> list[str]:
     """The errors that a record states."""
-    errors = []
-    for one in record.get("fits", []):
-        for start, fit in ((one["formula"], one), (f"{one['formula']} by incidence", one.get("by_incidence", {}))):
-            if "error" in fit:
-                errors.append((f"{start}: ", fit["error"], fit.get("refused", "")))
+    errors = [(f"{name}: ", error, refused) for name, error, refused in _fits(record)]
     named = {"": "error", "light that passes: ": "error_of_transmission"}
     errors += [(start, record[key], "") for start, key in named.items() if isinstance(record.get(key), Mapping)]
-    return [start + _stated(error, refused) for start, error, refused in errors]
+    # Where the program averages both orders of the directions, more values do not help.
+    finer = "reciprocity" not in record.get("left_out", {})
+    return [start + _stated(error, refused, finer) for start, error, refused in errors]
 
 
-def _stated(error: Mapping[str, Any], refused: str) -> str:
-    """Error of a table or of a fit in words."""
+def errors_in_brief(record: Mapping[str, Any]) -> str:
+    """The errors in one sentence, for a cell of a table; of fits the least median of each formula."""
+    fits = _fits(record)
+    if not fits:
+        return "; ".join(errors_in_words(record))
+    formulas = dict.fromkeys(name.split()[0] for name, _, _ in fits)
+    best = dict[str, tuple[float, str]]()
+    for name, error, refused in fits:
+        formula = name.split()[0]
+        if not refused and error["median"] < best.get(formula, (np.inf,))[0]:
+            best[formula] = error["median"], name
+    medians = ", ".join(f"{name} {median:.1%}" for median, name in sorted(best.values()))
+    beyond = ", ".join(one for one in formulas if one not in best)
+    return f"error of BRDF·cos θ_o in the median: {medians}" + (f"; beyond a limit: {beyond}" if beyond else "")
+
+
+def _fits(record: Mapping[str, Any]) -> list[tuple[str, Mapping[str, Any], str]]:
+    """Name, error and refusal of each fit."""
+    return [
+        (name, fit["error"], str(fit.get("refused", "")))
+        for one in record.get("fits", [])
+        for name, fit in ((one["formula"], one), (f"{one['formula']} by incidence", one.get("by_incidence", {})))
+        if "error" in fit
+    ]
+
+
+def _stated(error: Mapping[str, Any], refused: str, finer: bool) -> str:
+    """Error of a table or of a fit in words; ``finer``: whether more values make it smaller."""
     median = f"{error['median']:.2%} in the median and " if "median" in error else ""
     parts = [
         f"{median}{error['percentile_95']:.2%} at the 95th percentile, of BRDF·cos θ_o",
@@ -135,11 +159,8 @@ def _stated(error: Mapping[str, Any], refused: str) -> str:
         parts.append(f"{error['peak']:.2%} of the BRDF in the mirror direction")
     if "delta_e_00" in error:
         parts.append(f"a colour difference of {error['delta_e_00']:.1f} (ΔE00) off the lobe")
-    end = (
-        ""
-        if error.get("within_tolerance", True)
-        else "; MORE than the tolerance: allow more values by the option `largest`"
-    )
+    advice = ": allow more values by the option `largest`" if finer else ""
+    end = "" if error.get("within_tolerance", True) else f"; MORE than the tolerance{advice}"
     return f"error {', '.join(parts)}{end}" + (f"; not written: {refused}" if refused else "")
 
 

@@ -41,6 +41,13 @@ PROPERTIES: Mapping[str, str] = {
 }
 """What a BSDF may have and a format may lose."""
 
+LOSSES: Mapping[str, str] = {
+    **PROPERTIES,
+    "gamut": "colours outside sRGB",
+    "reciprocity": "differences between both orders of the directions",
+}
+"""What a record may say to be left out: keys of ``left_out`` in words."""
+
 QUANTITIES = ("brdf", "brdf_cos", "pi_brdf")
 """What the numbers of a table that is read are: BRDF [sr-1], BRDF·cos θ_o [sr-1], or the reflectance factor π·BRDF."""
 

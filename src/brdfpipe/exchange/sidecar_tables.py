@@ -123,7 +123,7 @@ def write_lambert_gauss(
 
 def _colour_difference(fit: xr.Dataset, model: xr.Dataset) -> str:
     """CIEDE2000 of the fit off the lobe, in words."""
-    from brdfpipe.exchange.fits.fitting import COLOUR_GEOMETRIES, delta_e_of_greys
+    from brdfpipe.exchange.fits.light import COLOUR_GEOMETRIES, delta_e_of_greys
 
     size = delta_e_of_greys(nonspectral(model), representation(fit).evaluate)
     beyond = f", ABOVE the limit of {_LARGEST_DELTA_E:g}: use the format of a table" if size > _LARGEST_DELTA_E else ""

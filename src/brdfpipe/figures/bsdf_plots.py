@@ -199,11 +199,11 @@ class BSDFPlots:
         return figure.titled(shown.words([incidence]))
 
     def preview(self, *, illuminant: str = "D65", light: str = "studio", side: int = 256) -> BSDFFigure:
-        """A sphere and a panel of the material under a known light; see :func:`brdfpipe.appearance.preview.preview`."""
+        """A sphere, a panel and a moulded part of the material in a known light; see :func:`brdfpipe.appearance.preview.preview`."""
         from brdfpipe.appearance.preview import preview
         from brdfpipe.figures.canvas import BSDFFigure
 
-        picture = preview(self._bsdf, illuminant=illuminant, light=light, side=side)
+        picture = preview(self._bsdf, illuminant=illuminant, light=light, side=side, others=())
         rows, columns = picture["picture"].shape[:2]
         figure = BSDFFigure(figsize=(columns / 80, rows / 80 + 0.3), layout="constrained")
         ax = figure.subplots()

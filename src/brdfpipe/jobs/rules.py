@@ -118,6 +118,14 @@ class Pipeline:
         """The raw file of a part of the material, if it has one: ``surface``, or ``surface-{scan}`` for a further scan."""
         return self._given(lambda wildcards: str(self._owner(wildcards).files.get(part.format(**wildcards), "")) or [])
 
+    def raw_files(self, part: str) -> InputFunction:
+        """The raw files of a part of the material that may have several, ``texture-1``, ``texture-2`` …, in their order."""
+        return self._given(
+            lambda wildcards: [
+                str(path) for name, path in self._owner(wildcards).files.items() if name.startswith(f"{part}-")
+            ]
+        )
+
     @_input_function
     def source_of_bsdf(self, wildcards: Any) -> dict[str, str]:
         """The dataset that becomes the BSDF, by its stage."""

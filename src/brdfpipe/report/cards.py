@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise, product
 
 from brdfpipe.appearance.verdicts import Verdict
 from brdfpipe.report.plots.svg import Figure
@@ -13,6 +15,12 @@ WORDS = ("Definition", "Description", "Error", "Not in the file", "Of")
 
 _HALF_PAGE, _GAP = 70, 2
 """Characters of a row of half the width of the page, and between columns."""
+_LINE = 72
+"""Characters of a line of a note in half the width of the page."""
+_HARDLY_EMPTY = 6
+"""Lines that one column may be shorter than the other without a difference to the eye."""
+_MOST_TOGETHER = 8
+"""Cards that are parted between two columns together; more are parted in groups."""
 _LONGEST_FIRST, _LONGEST_WORDS = 24, 80
 """Characters above which the first column, and a column of sentences, is broken into lines."""
 
@@ -52,6 +60,69 @@ class Section:
 
     def __bool__(self) -> bool:
         return bool(self.figures or self.tables or self.verdicts)
+
+    @property
+    def cards(self) -> list[Card]:
+        """All cards in their order, tables as wide as the page last."""
+        tables = sorted(self.tables, key=lambda table: table.broad)
+        return [*self.figures, *([Verdicts(self.verdicts)] if self.verdicts else []), *tables]
+
+
+@dataclass(frozen=True)
+class Verdicts:
+    """A card of verdicts."""
+
+    entries: Sequence[Verdict]
+
+
+Card = Figure | Table | Verdicts
+
+
+def rows(cards: Sequence[Card]) -> list[list[list[tuple[int, Card]]]]:
+    """Cards in rows of one column as wide as the page, or of two whose lengths are nearly equal; each card with its place in the order.
+
+    Of the ways to part cards between two columns, the first in which neighbours stand side by side is taken, among those that leave least empty.
+    """
+    result: list[list[list[tuple[int, Card]]]] = []
+    half: list[tuple[int, Card]] = []
+    for place, card in enumerate(cards):
+        if _full(card):
+            result += [*_in_columns(half), [[(place, card)]]]
+            half = []
+        else:
+            half.append((place, card))
+    return [*result, *_in_columns(half)]
+
+
+def _in_columns(cards: Sequence[tuple[int, Card]]) -> list[list[list[tuple[int, Card]]]]:
+    if len(cards) < 2:
+        return [[list(cards)]] if cards else []
+    if len(cards) > _MOST_TOGETHER:
+        return [*_in_columns(cards[:_MOST_TOGETHER]), *_in_columns(cards[_MOST_TOGETHER:])]
+    lengths = [_lines(card) for _, card in cards]
+
+    def badness(right: tuple[int, ...]) -> tuple[int, int, tuple[int, ...]]:
+        empty = abs(sum(length * (1 - 2 * side) for length, side in zip(lengths, right, strict=True)))
+        return round(empty / _HARDLY_EMPTY), sum(a == b for a, b in pairwise(right)), right
+
+    best = min(((0, *rest) for rest in product((0, 1), repeat=len(cards) - 1) if any(rest)), key=badness)
+    return [[[card for card, side in zip(cards, best, strict=True) if side == column] for column in (0, 1)]]
+
+
+def _full(card: Card) -> bool:
+    return card.broad if isinstance(card, Table) else isinstance(card, Figure) and card.full
+
+
+def _lines(card: Card) -> float:
+    """About how many lines of text a card of half the width of the page is long."""
+    if isinstance(card, Verdicts):
+        return 3 + sum(1 + len(entry.text) / _LINE for entry in card.entries)
+    words = 3 + len(card.note) / _LINE
+    if isinstance(card, Figure):
+        drawn = sum(float(height) for height in re.findall(r'class="fig" viewBox="0 0 [\d.]+ ([\d.]+)"', card.svg))
+        return words + 0.05 * drawn + sum(4 + len(label) for _, _, label in card.legend) / _LINE
+    wrapped = sum(1 + len(row[-1]) // _HALF_PAGE * (card.header[-1] in WORDS) for row in card.rows)
+    return words + 1.5 * (1 + wrapped) + len(card.remark) / _LINE
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from markupsafe import Markup, escape
 
 from brdfpipe.appearance.verdicts import ACCEPTED
 from brdfpipe.errors import printable
-from brdfpipe.report.cards import WORDS
+from brdfpipe.report.cards import WORDS, rows
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -57,7 +57,7 @@ def _environment() -> Environment:
         lstrip_blocks=True,
         keep_trailing_newline=True,
     )
-    environment.filters["code"] = with_code
+    environment.filters |= {"code": with_code, "rows": rows}
     environment.globals["mark"] = _VERDICT_SYMBOLS
     environment.globals["words"] = WORDS
     environment.globals["style"] = Markup((TEMPLATES / "style.css").read_text("utf-8"))

@@ -188,6 +188,11 @@ class Rig:
         _check(description, rig)
         return rig
 
+    @property
+    def shared_port(self) -> bool:
+        """Whether the controller of the monochromator turns the wheel, too."""
+        return self.monochromator.port == self.wheel.port
+
     def filter_at(self, position: int) -> Filter:
         """The filter at a position of the wheel. Raises InputError: the rig has no filter there."""
         for neutral_filter in self.filters:
@@ -304,8 +309,13 @@ def _check(description: reading.Description, rig: Rig) -> None:
         raise refusal("etalon_entrance", "the rig has no such entrance", f"{rig.etalon_entrance:g}", accepted)
     if rig.wavelengths[0] >= rig.wavelengths[1]:
         raise refusal("wavelengths", "`low` is not below `high`", list(rig.wavelengths))
-    if rig.monochromator.port == rig.wheel.port:
-        raise refusal("wheel.port", "two devices on one port", rig.wheel.port)
+    if rig.shared_port and rig.wheel.dialect != "acton-wheel":
+        accepted = (
+            "another port; only an `acton-wheel` can share that of the monochromator, whose controller then turns it"
+        )
+        raise refusal("wheel.port", "two devices on one port", rig.wheel.port, accepted)
+    if rig.shared_port and rig.wheel.baud != rig.monochromator.baud:
+        raise refusal("wheel.baud", "two baud rates of one port", rig.wheel.baud, str(rig.monochromator.baud))
 
 
 def _repeated(items: Iterable[object]) -> object:

@@ -28,6 +28,9 @@ DRIFT_WAVELENGTH = 550.0
 
 MAX_SHOTS = 99_999
 
+ETALON_AFTER = "etalon-after"
+"""Purpose of the frames of an etalon that is measured again after the sample."""
+
 
 @dataclass(frozen=True)
 class Step:
@@ -57,6 +60,13 @@ class Arrangement:
     """``reflection`` or ``transmission``."""
     incidence: float
     """Entrance of the light [degree]."""
+    again: bool = False
+    """Whether the same was arranged before, in the same run."""
+
+    @property
+    def purpose(self) -> str:
+        """Purpose of the frames of its brackets."""
+        return ETALON_AFTER if self.again else self.load
 
 
 @dataclass(frozen=True)
@@ -66,7 +76,7 @@ class Shot:
     ordinal: int
     """From 1, in the order they are made."""
     purpose: str
-    """``sample``, ``etalon``, ``target``, ``dark`` or ``drift``."""
+    """``sample``, ``etalon``, ``etalon-after``, ``target``, ``dark`` or ``drift``."""
     arrangement: Arrangement
     wavelength: float
     """Nanometres."""
@@ -102,10 +112,14 @@ class Plan:
     runs: tuple[str, ...]
     side: tuple[str, ...]
     etalon_entrances: tuple[float, ...]
+    etalon_after: bool
+    """Whether the etalon is measured again after the sample."""
     path: Path = field(compare=False, repr=False)
     """The file of the plan."""
     bad_frames: str = field(default="retake", compare=False)
     """What a scan does with a bad frame; another choice does not make another plan."""
+    exposures: str = field(default="all", compare=False)
+    """Which frames of a bracket a scan takes; another choice does not make another plan."""
 
     @classmethod
     def load(cls, path: str | Path) -> Plan:
@@ -133,8 +147,10 @@ class Plan:
             runs=tuple(content["runs"]),
             side=tuple(content["side"]),
             etalon_entrances=tuple(map(float, content.get("etalon_entrances", [rig.etalon_entrance]))),
+            etalon_after=content["etalon_after"],
             path=path,
             bad_frames=content["bad_frames"],
+            exposures=content["exposures"],
         )
         _check(description, plan)
         return plan
@@ -154,7 +170,8 @@ class Plan:
             "etalon": [Arrangement("etalon", "reflection", entrance) for entrance in self.etalon_entrances],
             "sample": [Arrangement("sample", side, incidence) for side in self.side for incidence in self.incidences],
         }
-        return tuple(arrangement for run in self.runs for arrangement in arrangements[run])
+        again = [replace(arrangement, again=True) for arrangement in arrangements["etalon"] if self.etalon_after]
+        return (*(arrangement for run in self.runs for arrangement in arrangements[run]), *again)
 
     def sample_id(self, arrangement: Arrangement) -> str:
         """Name of the sample in the holder."""
@@ -179,7 +196,7 @@ class Plan:
                 for number, step in enumerate(self.bracket, start=1):
                     if count % self.drift.every == 0:
                         yield self._lamp_reading(arrangement)
-                    yield Shot(0, arrangement.load, arrangement, wavelength, step.position, step.exposure, number)
+                    yield Shot(0, arrangement.purpose, arrangement, wavelength, step.position, step.exposure, number)
                     count += 1
         yield self._lamp_reading(arrangement)
 
@@ -242,6 +259,8 @@ def _check(description: reading.Description, plan: Plan) -> None:
     if "target" in plan.runs and rig.target is None:
         accepted = "a rig with a `target`, or runs of etalon and sample alone"
         raise refusal("runs", "the rig has no angular target", accepted=accepted)
+    if plan.etalon_after and not {"etalon", "sample"} <= {*plan.runs}:
+        raise refusal("etalon_after", "the plan does not measure both etalon and sample", accepted="runs with both")
     low, high = rig.wavelengths
     for key, wavelengths in (("wavelengths", plan.wavelengths), ("drift.wavelength", (plan.drift.wavelength,))):
         if beyond := [wavelength for wavelength in wavelengths if not low <= wavelength <= high]:

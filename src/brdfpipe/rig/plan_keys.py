@@ -19,6 +19,12 @@ BAD_FRAMES = {
 }
 """What a scan does with a bad frame."""
 
+EXPOSURES = {
+    "all": "all",
+    "needed": "those that the last frames of the same cells show to be needed",
+}
+"""Which frames of a bracket a scan takes."""
+
 Wavelength = Annotated[float, Field(ge=100, le=20_000, description="a wavelength in nm")]
 Wavelengths = Annotated[list[Wavelength], Items(rising=True), Field(min_length=1, max_length=2000)]
 
@@ -125,6 +131,7 @@ class PlanKeys(Keys):
         default=["etalon", "sample"],
         min_length=1,
         max_length=3,
+        example=["target", "etalon", "sample"],
     )
     side: Annotated[list[Annotated[str, OneOf(("reflection", "transmission"))]], Items()] = key(
         "sides of the sample, in this order: reflection and transmission",
@@ -142,7 +149,17 @@ class PlanKeys(Keys):
         details="An entrance without a measurement of the etalon counts as known to 5 %.",
         example=[10, 20, 30, 45, 60],
     )
-
+    exposures: Annotated[str, OneOf(tuple(EXPOSURES))] = key(
+        "frames of a bracket that a scan takes: "
+        + "; ".join(f"{name}: {words}" if name != words else name for name, words in EXPOSURES.items()),
+        default="all",
+        details="See [fewer frames](#fewer-frames).",
+    )
+    etalon_after: bool = key(
+        "whether the etalon is measured again after the sample",
+        default=False,
+        details="The calibration then interpolates between both, and states their difference.",
+    )
     bad_frames: Annotated[str, OneOf(tuple(BAD_FRAMES))] = key(
         "what a scan does with a frame that its checks find bad: "
         + "; ".join(f"{name}: {words}" for name, words in BAD_FRAMES.items()),

@@ -37,10 +37,9 @@ class _SerialDevice(Keys):
         unit="1/s",
         default_words="; ".join(f"{baud} for `{dialect}`" for dialect, baud in BAUD.items()),
     )
-    case: Annotated[str, OneOf(("upper", "lower"))] = key(
-        "letter case of Acton commands, upper or lower",
-        default="upper",
-        details="Choose `lower` for a unit that answers `?` to upper case.",
+    case: Annotated[str, OneOf(("auto", "upper", "lower"))] = key(
+        "letter case of Acton commands: upper, lower, or auto (tried, upper first)",
+        default="auto",
     )
     serial_number: str = key(
         "serial number that the device must answer with; empty accepts any",
@@ -106,7 +105,14 @@ class Wheel(_SerialDevice):
     dialect: Annotated[str, OneOf(tuple(WHEELS))] = key(
         "acton-wheel (FA-448) or thorlabs (FW102C and FW212C)", required=True, example="thorlabs"
     )
-    port: str = key("serial port, as above", required=True, min_length=1, max_length=200, example="/dev/ttyUSB1")
+    port: str = key(
+        "serial port, as above",
+        required=True,
+        min_length=1,
+        max_length=200,
+        details="The monochromator's own, for an `acton-wheel` on its controller.",
+        example="/dev/ttyUSB1",
+    )
     positions: Annotated[int, WHOLE] = key("number of positions, with filters or empty", default=6, ge=1, le=12)
 
 

@@ -35,6 +35,7 @@ _RESULTS = (
     Result("table", "the BRDF on a grid of directions"),
     Result("lambert_gauss", "the parameters of a Lambert and Gauss model"),
     Result("preview", "a picture of the material"),
+    Result("texture", "visible structure beside the BRDF, of materials with the key `texture` ([texture](texture.md))"),
     Result("page", "the page of the material"),
 )
 

@@ -82,6 +82,15 @@ class SceneKeys(Keys):
         "for `veiling_glare`: windscreen, light and driver {windscreen, sun, sky, line_of_sight, distance, material_azimuth}",
         details="See [veiling glare](veiling-glare.md).",
     )
+    viewing_distance: float = key(
+        "for `texture`: distance from which the material is seen; the pixels of its texture are then what an eye resolves there, one minute of arc",
+        unit="m",
+        default_words="the pixel that the material names",
+        gt=0,
+        le=1000,
+        example=0.7,
+        details="See [levels of detail](texture.md#levels-of-detail).",
+    )
     metric: Annotated[str, OneOf(tuple(METRIC_UNITS))] = key(
         f"the error that matters: {', '.join(f'{name} ({unit})' for name, unit in METRIC_UNITS.items())}", required=True
     )
@@ -102,6 +111,9 @@ class SceneKeys(Keys):
         if self.glare is not None and "veiling_glare" not in self.results:
             accepted = "`veiling_glare` in `results`; or no `glare`"
             raise InputError("", "no result of the scene has this geometry", where="glare", accepted=accepted)
+        if self.viewing_distance is not None and "texture" not in self.results:
+            accepted = "`texture` in `results`; or no `viewing_distance`"
+            raise InputError("", "no result of the scene depends on it", where="viewing_distance", accepted=accepted)
         if self.bands not in BANDS[:1] and not set(_SPECTRAL) & set(self.results):
             found = self.bands if isinstance(self.bands, str) else f"{len(self.bands)} wavelengths"
             accepted = f"photopic; or one of {', '.join(_SPECTRAL)} in `results`"

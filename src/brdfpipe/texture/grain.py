@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numpy as np
 import xarray as xr
 
 from brdfpipe.geometry import Array
-from brdfpipe.texture.height_pixels import central_slopes, pixel_heights
+from brdfpipe.texture.height_pixels import central_slopes, pixel_heights, unit_normals
 from brdfpipe.texture.slope_split import INTERPOLATIONS, MapSlopes, split
 from brdfpipe.texture.synthesis import METHODS, Likeness, likeness, synthesise
 
@@ -44,8 +43,7 @@ class Grain(NamedTuple):
     @property
     def normals(self) -> Array:
         """(rows, columns, 3) unit normals: x to the right, y upwards, z off the surface."""
-        upright = 1 / np.sqrt(1 + self.slope_x**2 + self.slope_y**2)
-        return np.stack([-self.slope_x * upright, -self.slope_y * upright, upright], axis=-1)
+        return unit_normals(self.slope_x, self.slope_y)
 
 
 def grain(

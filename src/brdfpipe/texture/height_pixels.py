@@ -44,7 +44,7 @@ def pixel_heights(surface: xr.Dataset, pixel: float) -> tuple[Array, float]:
     height = surface["height"].values.astype(float)
     pitches = float(surface.attrs["pitch_y"]), float(surface.attrs["pitch_x"])
     least = max(pitches)
-    most = min(pitch * size for pitch, size in zip(pitches, height.shape, strict=True)) / LEAST_PIXELS
+    most = largest_pixel(surface)
     # One part in a million for pitches that are not written with all digits.
     if not least * (1 - 1e-6) <= pixel <= most:
         raise BrdfpipeError(
@@ -61,6 +61,18 @@ def pixel_heights(surface: xr.Dataset, pixel: float) -> tuple[Array, float]:
     for axis, pitch in enumerate(pitches):
         height = _area_means(height, axis, pixel / pitch)
     return height - height.mean(), share
+
+
+def largest_pixel(surface: xr.Dataset) -> float:
+    """Side of the largest pixel [um] of a map of a scan: a 32nd of its shorter side."""
+    pitches = float(surface.attrs["pitch_y"]), float(surface.attrs["pitch_x"])
+    return min(pitch * size for pitch, size in zip(pitches, surface["height"].shape, strict=True)) / LEAST_PIXELS
+
+
+def unit_normals(slope_x: Array, slope_y: Array) -> Array:
+    """(rows, columns, 3) unit normals of slopes: x to the right, y upwards, z off the surface."""
+    upright = 1 / np.sqrt(1 + slope_x**2 + slope_y**2)
+    return np.stack([-slope_x * upright, -slope_y * upright, upright], axis=-1)
 
 
 def central_slopes(height: Array, pixel: float) -> tuple[Array, Array]:

@@ -1,29 +1,30 @@
-"""Height and normal maps as 16-bit PNG files, with a record of their scale and orientation."""
+"""Height and normal maps of a scan's texture as PNG and OpenEXR files, with a record of their scale and orientation."""
 
 from __future__ import annotations
 
 import json
 import os
-import struct
-import zlib
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import xarray as xr
 
 from brdfpipe import store
-from brdfpipe.geometry import Array
-from brdfpipe.texture.grain import Grain
+from brdfpipe.texture.exr import exr_bytes
+from brdfpipe.texture.file_names import MAP_FILES
+from brdfpipe.texture.png import png_bytes
+from brdfpipe.texture.scan_texture import normals_of
 
 _LARGEST = 65535
 
 
-def write_maps(grain: Grain, folder: str | os.PathLike[str], name: str) -> dict[str, Any]:
-    """Write ``<name>.height.png``, ``<name>.normal.png`` and their record ``<name>.maps.json``.
+def write_maps(texture: xr.Dataset, folder: str | os.PathLike[str], name: str) -> dict[str, Any]:
+    """Write ``<name>.height.png``, ``<name>.normal.png``, both as ``.exr``, and their record ``<name>.maps.json``.
 
     Parameters
     ----------
-    grain : the map
+    texture : kind ``texture``, of a scan
     folder : where the files are written
     name : of the files
 
@@ -32,41 +33,44 @@ def write_maps(grain: Grain, folder: str | os.PathLike[str], name: str) -> dict[
     The record: the size of a pixel and of the map [um], the heights [um] of the values 0 and 65535, the axes of the normals, and what the
     maps leave to the BRDF.
 
+    Raises
+    ------
+    StoreError : the files cannot be written.
+
     Notes
     -----
-    The first row of the files is the upper edge, at the largest y. Normals are (n + 1)/2, with x to the right and y upwards, which is what OpenGL,
-    glTF, MaterialX and Mitsuba expect. Both files are linear, not sRGB.
+    The first row of the files is the upper edge, at the largest y. Normals of the PNG file are (n + 1)/2, with x to the right and y upwards, which is what OpenGL,
+    glTF, MaterialX and Mitsuba expect; the OpenEXR files have heights in um and the components of the normals themselves. All are linear, not sRGB.
     """
     folder = Path(folder)
-    low, high = float(grain.height.min()), float(grain.height.max())
-    height = np.rint((grain.height - low) / max(high - low, 1e-300) * _LARGEST)
-    normal = np.rint((grain.normals + 1) / 2 * _LARGEST)
-    rows, columns = grain.height.shape
+    # Upper row first.
+    height, normals = texture["height"].values[::-1].astype(float), normals_of(texture)[::-1]
+    low, high = float(height.min()), float(height.max())
+    rows, columns = height.shape
+    pixel = float(texture.attrs["pixel"])
     record = {
-        "pixel_um": grain.pixel,
-        "size_um": [columns * grain.pixel, rows * grain.pixel],
+        "pixel_um": pixel,
+        "size_um": [columns * pixel, rows * pixel],
         "tileable": True,
         "first_row": "upper edge, at the largest y",
         "height": {"file": f"{name}.height.png", "um_at_0": low, "um_at_65535": high},
+        "height_exr": {"file": f"{name}.height.exr", "values": "um"},
         "normal": {"file": f"{name}.normal.png", "values": "(n + 1)/2, x to the right, y upwards"},
-        "encoding": "linear, 16 bits",
-        "unresolved_share_of_mean_square_slope": grain.unresolved,
-        "share_of_facets_at_other_slopes": grain.split_difference,
-        "warnings": list(grain.warnings),
+        "normal_exr": {"file": f"{name}.normal.exr", "values": "n, from -1 to 1, x to the right, y upwards"},
+        "encoding": "linear; PNG: 16 bits, OpenEXR: 32-bit floats",
+        "unresolved_share_of_mean_square_slope": float(texture["unresolved_share"]),
+        "share_of_facets_at_other_slopes": float(texture["split_difference"]),
     }
-    store.write_bytes(folder / f"{name}.height.png", _png(height[::-1, :, None]))
-    store.write_bytes(folder / f"{name}.normal.png", _png(normal[::-1]))
-    store.write_bytes(folder / f"{name}.maps.json", (json.dumps(record, indent=2) + "\n").encode())
+    side = f"one pixel is {pixel:g} um"
+    content = {
+        ".height.png": png_bytes((height - low) / max(high - low, 1e-300) * _LARGEST),
+        ".normal.png": png_bytes((normals + 1) / 2 * _LARGEST),
+        ".height.exr": exr_bytes({"Y": height}, f"heights in um; {side}"),
+        ".normal.exr": exr_bytes(
+            dict(zip("RGB", np.moveaxis(normals, -1, 0), strict=True)), f"components of unit normals; {side}"
+        ),
+        ".maps.json": (json.dumps(record, indent=2) + "\n").encode(),
+    }
+    for end in MAP_FILES:
+        store.write_bytes(folder / f"{name}{end}", content[end])
     return record
-
-
-def _png(values: Array) -> bytes:
-    """A PNG (W3C 2003) of 16 bits a channel, (rows, columns, 1 or 3): Pillow writes colours of 8 bits alone."""
-    rows, columns, channels = values.shape
-    lines = np.zeros((rows, 1 + 2 * columns * channels), dtype=np.uint8)
-    lines[:, 1:] = values.astype(">u2").reshape(rows, -1).view(np.uint8)
-    header = struct.pack(">IIBBBBB", columns, rows, 16, 0 if channels == 1 else 2, 0, 0, 0)
-    parts = (b"IHDR", header), (b"IDAT", zlib.compress(lines.tobytes(), 6)), (b"IEND", b"")
-    return b"\x89PNG\r\n\x1a\n" + b"".join(
-        struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data)) for kind, data in parts
-    )

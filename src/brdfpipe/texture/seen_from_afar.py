@@ -54,32 +54,57 @@ def seen_from_afar(
     if areas not in AREAS:
         raise BrdfpipeError(f"unknown areas {areas!r}; accepted: {' or '.join(AREAS)}")
     incident, outgoing = (np.atleast_2d(unit_vector(theta, phi)) for theta, phi in ((theta_i, phi_i), (theta_o, phi_o)))
-    model, total = representation(bsdf), None
     wavelengths = None if wavelength is None else np.atleast_1d(np.asarray(wavelength, dtype=float))
-    for (x, y), share in zip(slopes.slopes.T, slopes.share, strict=True):
-        frame = local_frame(float(x), float(y))
-        i, o = incident @ frame.T, outgoing @ frame.T
-        lit = (i[:, 2] > _GRAZING) & (o[:, 2] > _GRAZING)
-        weight = share * i[:, 2] / incident[:, 2]
-        if areas == "relief":
-            weight = weight * o[:, 2] / (outgoing[:, 2] * frame[2, 2])
-        values = model.evaluate(*_angles(i[lit]), *_angles(o[lit]), wavelengths)
-        if total is None:
-            total = np.zeros((len(incident), values.shape[-1]))
-        total[lit] += weight[lit, None] * values
-    assert total is not None
-    return total
+    frames = local_frames(*slopes.slopes)
+    step = max(1, _MOST_PAIRS // len(frames))
+    parts = []
+    for start in range(0, len(incident), step):
+        part = slice(start, start + step)
+        values = in_frames(bsdf, frames[None], incident[part, None], outgoing[part, None], areas, wavelengths)
+        parts.append(np.einsum("b,nbm->nm", slopes.share, values))
+    return np.concatenate(parts)
 
 
+_MOST_PAIRS = 200_000
+"""Pairs of a direction and a bin that are evaluated at once."""
 _GRAZING = 1e-3
 
 
-def local_frame(slope_x: float, slope_y: float) -> Array:
-    """(3, 3) axes of a point of a normal map, in rows: x in the plane of its normal, y, and the normal."""
-    normal = np.array([-slope_x, -slope_y, 1.0]) / np.sqrt(1 + slope_x**2 + slope_y**2)
-    first = np.array([1.0, 0.0, 0.0]) - normal * normal[0]
-    first /= np.linalg.norm(first)
-    return np.stack([first, np.cross(normal, first), normal])
+def in_frames(
+    bsdf: xr.Dataset, frames: Array, incident: Array, outgoing: Array, areas: str, wavelength: Array | None
+) -> Array:
+    """The BRDF of the mean plane that points of a normal map have.
+
+    Parameters
+    ----------
+    bsdf : kind ``bsdf``, of what the map does not resolve
+    frames : (…, 3, 3) of the points (:func:`local_frames`)
+    incident, outgoing : (…, 3) unit vectors, broadcast with the frames
+    areas : one of :data:`AREAS`
+    wavelength : (m,) [nm], or None
+
+    Returns
+    -------
+    (…, m) [sr-1]; 0 at points that one of the directions does not see
+    """
+    i, o = np.broadcast_arrays(*(np.einsum("...ij,...j->...i", frames, one) for one in (incident, outgoing)))
+    weight = i[..., 2] / incident[..., 2]
+    if areas == AREAS[0]:
+        weight = weight * o[..., 2] / (outgoing[..., 2] * frames[..., 2, 2])
+    lit = (i[..., 2] > _GRAZING) & (o[..., 2] > _GRAZING)
+    values = representation(bsdf).evaluate(*_angles(i[lit]), *_angles(o[lit]), wavelength)
+    result = np.zeros((*lit.shape, values.shape[-1]))
+    result[lit] = weight[lit][:, None] * values
+    return result
+
+
+def local_frames(slope_x: Array, slope_y: Array) -> Array:
+    """(…, 3, 3) axes of points of a normal map, in rows: x in the plane of the normal, y, and the normal."""
+    normal = np.stack([-slope_x, -slope_y, np.ones_like(slope_x)], axis=-1)
+    normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
+    first = np.array([1.0, 0.0, 0.0]) - normal * normal[..., :1]
+    first /= np.linalg.norm(first, axis=-1, keepdims=True)
+    return np.stack([first, np.cross(normal, first), normal], axis=-2)
 
 
 def _angles(vectors: Array) -> tuple[Array, Array]:

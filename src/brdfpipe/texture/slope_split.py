@@ -133,14 +133,16 @@ def split(facets: xr.Dataset, slope_x: Array, slope_y: Array, interpolation: str
     return found._replace(facets=vocabulary.label(residual, "facets"))
 
 
-def binned_slopes(slopes: tuple[Array, Array], unresolved_rms: float) -> MapSlopes:
-    """Slopes in square bins that are fine beside the slopes that are not resolved."""
+def binned_slopes(
+    slopes: tuple[Array, Array], unresolved_rms: float, bins_per_width: float = _BINS_PER_WIDTH, most: int = _MOST_BINS
+) -> MapSlopes:
+    """Slopes in square bins that are fine beside the slopes that are not resolved: so many per rms, and not more than the most."""
     p, q = slopes
-    width = unresolved_rms / _BINS_PER_WIDTH
+    width = unresolved_rms / bins_per_width
     while True:
         cells = np.rint(p / width).astype(np.int64) * 2**24 + np.rint(q / width).astype(np.int64)
         occupied, inverse, count = np.unique(cells, return_inverse=True, return_counts=True)
-        if occupied.size <= _MOST_BINS:
+        if occupied.size <= most:
             break
         width *= 1.3
     means = np.stack([np.bincount(inverse, weights=one) / count for one in (p, q)])

@@ -2,7 +2,7 @@
 
 ``spectrum`` has the power spectrum and the distribution of heights of the sample, and random phases: for a grain without shapes that repeat.
 ``structure`` places pieces of the sample beside one another, each chosen to fit those that are there, and blends their edges: cells and
-ridges stay whole.
+ridges stay whole. A smooth gain then gives each ring of frequencies the power that it has in the sample.
 
 References
 ----------
@@ -33,8 +33,12 @@ _PIECES = 4
 _OVERLAP = 0.4
 """Width over which pieces are blended, over their distance."""
 _CANDIDATES = 300
+_RING_ITERATIONS = 8
+_POSITIVE_ITERATIONS = 30
 _LEAST_MODES = 200
 """Frequencies whose power is averaged where two spectra are compared."""
+_HIGHEST_COMPARED = 0.25
+"""Cycles per pixel: half the Nyquist frequency."""
 _LEAST_POWER = 1e-4
 """Of the largest power: less is not compared, since the windows bring as much of it from other frequencies."""
 
@@ -80,19 +84,43 @@ def synthesise(sample: Array, size: int, *, method: str = METHODS[0], seed: int 
 
 def likeness(sample: Array, tile: Array) -> Likeness:
     """What remains between a sample (rows, columns) and a periodic map of the same pixel."""
-    frequency = _frequency(tile.shape).ravel()
-    order = np.argsort(frequency, kind="stable")
-    order = order[(frequency[order] > 1.5 / min(*sample.shape, *tile.shape)) & (frequency[order] <= 0.25)]
-    parts = np.array_split(order, max(1, order.size // _LEAST_MODES))
-    # A periodic map has no edges and needs no window.
-    powers = windowed_power(sample, tile.shape), np.abs(np.fft.fft2(tile)) ** 2 / tile.size
-    rings = np.array([[power.flat[part].mean() for part in parts] for power in powers])
-    rings = rings[:, rings[0] >= _LEAST_POWER * rings[0].max()]
+    _, *rings = ring_spectra(sample, tile, _HIGHEST_COMPARED)
+    compared = rings[0] >= _LEAST_POWER * rings[0].max()
     slopes = [
         _kolmogorov(np.diff(sample, axis=axis).ravel(), (np.roll(tile, -1, axis) - tile).ravel()) for axis in (0, 1)
     ]
     heights = _kolmogorov(sample.ravel() - sample.mean(), tile.ravel() - tile.mean())
-    return Likeness(float(np.abs(rings[1] / rings[0] - 1).max()), heights, max(slopes))
+    return Likeness(float(np.abs(rings[1][compared] / rings[0][compared] - 1).max()), heights, max(slopes))
+
+
+def ring_spectra(sample: Array, tile: Array, highest: float = 0.5) -> tuple[Array, Array, Array]:
+    """Mean frequency [cycles per pixel] of rings of frequencies up to the highest, and the power of a sample and of a periodic map of the same pixel there."""
+    frequency = _frequency(tile.shape)
+    rings = _rings(frequency, _least_frequency(sample, tile), highest)
+    # A periodic map has no edges and needs no window.
+    of_sample, of_tile = (_means(power, rings) for power in (windowed_power(sample, tile.shape), _power_of(tile)))
+    return _means(frequency, rings), of_sample, of_tile
+
+
+def _least_frequency(sample: Array, tile: Array) -> float:
+    """Of waves that fit into both, in cycles per pixel."""
+    return 1.5 / min(*sample.shape, *tile.shape)
+
+
+def _rings(frequency: Array, least: float, highest: float) -> list[NDArray[np.int64]]:
+    """Places of frequencies in rings of about as many each."""
+    order = np.argsort(frequency, axis=None, kind="stable")
+    order = order[(frequency.flat[order] > least) & (frequency.flat[order] <= highest)]
+    return np.array_split(order, max(1, order.size // _LEAST_MODES))
+
+
+def _means(field: Array, rings: list[NDArray[np.int64]]) -> Array:
+    return np.array([field.flat[ring].mean() for ring in rings])
+
+
+def _power_of(tile: Array) -> Array:
+    """Power of a periodic map on the frequencies of ``numpy.fft.fft2``."""
+    return np.asarray(np.abs(np.fft.fft2(tile - tile.mean())) ** 2 / tile.size)
 
 
 def windowed_power(height: Array, shape: tuple[int, ...]) -> Array:
@@ -123,9 +151,7 @@ def _random_phases(sample: Array, size: int, rng: np.random.Generator) -> Array:
     height = rng.permutation(values).reshape(size, size)
     for _ in range(_ITERATIONS):
         height = _of_amplitude(height, amplitude)
-        ranked = np.empty(size**2)
-        ranked[np.argsort(height, axis=None, kind="stable")] = values
-        height = ranked.reshape(size, size)
+        height = _ranked(height, values)
     return _of_amplitude(height, amplitude)
 
 
@@ -173,10 +199,49 @@ def _pieces(sample: Array, size: int, rng: np.random.Generator) -> Array:
     # Two values of correlation ρ: half of the mean square of their difference is 1 − ρ.
     correlation = min(1.0, max(0.0, 1 - agreement / max(compared, 1e-300) / 2))
     blended = weighted / np.sqrt((1 - correlation) * squares + correlation * weights**2)
-    values = _quantiles(sample, size**2)
-    height = np.empty(size**2)
-    height[np.argsort(blended, axis=None, kind="stable")] = values
-    return height.reshape(size, size)
+    return _of_ring_power(_ranked(blended, _quantiles(sample, size**2)), sample)
+
+
+def _ranked(height: Array, values: Array) -> Array:
+    """Ascending values in the order of given heights."""
+    ranked = np.empty(height.size)
+    ranked[np.argsort(height, axis=None, kind="stable")] = values
+    return ranked.reshape(height.shape)
+
+
+def _of_ring_power(height: Array, sample: Array) -> Array:
+    """Heights whose rings of frequencies have the power of those of the sample, with the phases and nearly the distribution of given ones.
+
+    Few pieces of a small sample have other long waves than the whole of it. The gain depends on the frequency alone and is smooth, so that shapes stay.
+    """
+    values, frequency = np.sort(height, axis=None), _frequency(height.shape)
+    power = windowed_power(sample, height.shape)
+    every = _rings(frequency, 0.0, 1.0)
+    at = _means(frequency, every)
+    for _ in range(_RING_ITERATIONS):
+        ratio = _means(power, every) / np.maximum(_means(_power_of(height), every), 1e-300)
+        gain = np.sqrt(np.interp(frequency, at, np.clip(ratio, 0.1, 10.0)))
+        height = _ranked(np.fft.ifft2(np.fft.fft2(height) * gain).real, values)
+    # The rings that are compared have the last word.
+    return _with_rings(height, sample, power)
+
+
+def positive(tile: Array, sample: Array) -> Array:
+    """A periodic map of mean 1 without negative values, whose rings of frequencies have nearly the power of those of a sample of mean 1."""
+    power = windowed_power(sample, tile.shape)
+    for _ in range(_POSITIVE_ITERATIONS):
+        tile = np.maximum(tile, 0.0)
+        tile = 1 + _with_rings(tile / tile.mean() - 1, sample, power)
+    tile = np.maximum(tile, 0.0)
+    return np.asarray(tile / tile.mean())
+
+
+def _with_rings(height: Array, sample: Array, power: Array) -> Array:
+    """Values with the power of a sample in the rings that are compared."""
+    spectrum, own = np.fft.fft2(height), _power_of(height)
+    for ring in _rings(_frequency(height.shape), _least_frequency(sample, height), _HIGHEST_COMPARED):
+        spectrum.flat[ring] *= np.sqrt(power.flat[ring].mean() / max(own.flat[ring].mean(), 1e-300))
+    return np.asarray(np.fft.ifft2(spectrum).real)
 
 
 def _window(size: int, count: int, k: int, blend: int) -> tuple[NDArray[np.int64], Array]:

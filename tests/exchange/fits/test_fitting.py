@@ -12,9 +12,15 @@ import xarray as xr
 from brdfpipe import facets, optics
 from brdfpipe.bsdf import microfacet
 from brdfpipe.bsdf.lambert_gauss import lambertian
-from brdfpipe.exchange.fits.fitting import Form, checked, fit, index_of, is_smooth
+from brdfpipe.exchange.fits.fitting import Fit, Form, checked
+from brdfpipe.exchange.fits.fitting import fit as fit_light
 from brdfpipe.exchange.fits.forms import by_albedo, by_fresnel, dielectric
+from brdfpipe.exchange.fits.light import ReflectedLight, index_of, is_smooth
 from brdfpipe.exchange.registry import ExchangeError
+
+
+def fit(bsdf: xr.Dataset, form: Form) -> Fit:
+    return fit_light(ReflectedLight(bsdf), form)
 
 
 def form(distribution: str = "beckmann", index: float | None = 1.55) -> Form:

@@ -10,6 +10,7 @@ import pytest
 import samples
 
 from brdfpipe.bsdf.table_error import Pairs
+from brdfpipe.exchange.fits.light import ReflectedLight
 from brdfpipe.exchange.fits.scatter import (
     FORMULAS,
     LISTED_INCIDENCES,
@@ -49,7 +50,7 @@ def test_the_distance_is_zero_in_the_mirror_direction() -> None:
 
 @pytest.mark.parametrize("name", FORMULAS)
 def test_its_own_parameters_are_found(name: str) -> None:
-    found = fit_formula(table_of(name), name)
+    found = fit_formula(ReflectedLight(table_of(name)), name)
     *lobe, base = found.parameters.values()
     assert base == pytest.approx(BASE, rel=0.05)
     assert lobe[2] == pytest.approx(LOBES[name][2], rel=0.05)
@@ -64,7 +65,7 @@ def test_its_own_parameters_are_found(name: str) -> None:
 
 @pytest.mark.parametrize("name", FORMULAS)
 def test_one_incidence_has_its_own_parameters(name: str) -> None:
-    found = fit_formula(table_of(name), name, 40.0)
+    found = fit_formula(ReflectedLight(table_of(name)), name, 40.0)
     assert found.error.median < 0.02
     # Peak and width are correlated, and the table is interpolated about its peak.
     assert found.error.peak < 0.1
@@ -77,10 +78,10 @@ def test_one_incidence_has_its_own_parameters(name: str) -> None:
 
 def test_a_lobe_whose_width_follows_the_incidence_needs_parameters_by_incidence() -> None:
     """Facets of slope 0.2: one width in direction cosines misses the peak at normal incidence many times over."""
-    bsdf = samples.beckmann_bsdf(0.2)
-    of_all = fit_formula(bsdf, "abg")
-    listed = {float(at): fit_formula(bsdf, "abg", float(at)).parameters for at in LISTED_INCIDENCES}
-    between = error_by_incidence(bsdf, "abg", listed)
+    light = ReflectedLight(samples.beckmann_bsdf(0.2))
+    of_all = fit_formula(light, "abg")
+    listed = {float(at): fit_formula(light, "abg", float(at)).parameters for at in LISTED_INCIDENCES}
+    between = error_by_incidence(light, "abg", listed)
     assert of_all.error.peak > 3
     assert between.peak < 0.5
     assert between.albedo < 0.25 * of_all.error.albedo
@@ -88,9 +89,12 @@ def test_a_lobe_whose_width_follows_the_incidence_needs_parameters_by_incidence(
 
 
 def test_incidences_beyond_the_list_have_the_parameters_of_its_ends() -> None:
-    bsdf, parameters = table_of("harvey"), dict(zip(("b0", "l", "s", "L"), (*LOBES["harvey"], BASE), strict=True))
+    light, parameters = (
+        ReflectedLight(table_of("harvey")),
+        dict(zip(("b0", "l", "s", "L"), (*LOBES["harvey"], BASE), strict=True)),
+    )
     one, three = (
-        error_by_incidence(bsdf, "harvey", dict.fromkeys(at, parameters)) for at in ((30.0,), (10.0, 30.0, 50.0))
+        error_by_incidence(light, "harvey", dict.fromkeys(at, parameters)) for at in ((30.0,), (10.0, 30.0, 50.0))
     )
     assert astuple(one) == pytest.approx(astuple(three))
     assert one.median < 0.02
@@ -109,10 +113,10 @@ def test_the_reflectance_of_a_lobe_is_its_integral() -> None:
 
 
 def test_the_wrong_formula_has_a_larger_error() -> None:
-    bsdf = table_of("k_correlation")
-    assert fit_formula(bsdf, "abg").error.median > 3 * fit_formula(bsdf, "k_correlation").error.median
+    light = ReflectedLight(table_of("k_correlation"))
+    assert fit_formula(light, "abg").error.median > 3 * fit_formula(light, "k_correlation").error.median
 
 
 def test_a_lay_is_refused() -> None:
     with pytest.raises(ExchangeError, match="lay"):
-        fit_formula(samples.brushed_bsdf(0.3, 0.1), "abg")
+        ReflectedLight(samples.brushed_bsdf(0.3, 0.1))

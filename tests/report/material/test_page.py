@@ -194,7 +194,12 @@ def test_every_exported_file_is_listed_with_its_error_and_every_refused_one_with
     toy = Format("rays that <toys> read", {"reflection": {"write": (".toy", ".toy.csv")}}, name="toy")
     monkeypatch.setitem(FORMATS, "toy", toy)
     error = {"percentile_95": 0.0123, "albedo": 0.001}
-    record = {"error": error, "left_out": {"polarisation": "of unpolarised light"}}
+    left_out = {
+        "polarisation": "of unpolarised light",
+        "gamut": "negative values",
+        "reciprocity": "the mean of both orders",
+    }
+    record = {"error": error, "left_out": left_out}
     astm_export = _export("astm", FORMATS["astm"].suffixes("reflection"), record)
     refused = _export("gltf", [], {}).assign_attrs(warnings='["export gltf not written: the surface has a <lay>"]')
     exports = {
@@ -214,7 +219,7 @@ def test_every_exported_file_is_listed_with_its_error_and_every_refused_one_with
         ("abs-grain.toy, abs-grain.toy.csv", "rays that &lt;toys&gt; read"),
         ("abs-grain.lambert_gauss.csv", "parameters of the Lambert + Gauss fit"),
     ]
-    assert "Mueller matrices" in html
+    assert "Mueller matrices; colours outside sRGB; differences between both orders of the directions" in html
     assert "Exported files" not in material_page({"spectrum": full["spectrum"]})
 
 
@@ -632,20 +637,60 @@ def test_a_model_s_choices_never_become_markup(full: Datasets) -> None:
     assert html.count("<script") == SCRIPTS
 
 
-def test_the_picture_of_a_material_is_near_the_top_of_its_page():
-    pixels = np.random.default_rng(1).integers(0, 256, (8, 16, 3)).astype(np.uint8)
+def pictured(side: int = 16) -> xr.Dataset:
+    """A preview in the light of the scene and in two others, of smooth colours that differ."""
+    row, column = np.mgrid[:side, : 3 * side] / (3 * side)
+    pixels = np.stack([40 + 100 * row, 60 + 90 * column, 200 - 80 * row], axis=-1)
+    pictures = np.stack([pixels, pixels + 20, 255 - pixels]).astype(np.uint8)
     attrs = {"illuminant": "D65", "light": "studio", "white_level": 0.75, "material": "steel"}
-    picture = xr.Dataset({"picture": (("row", "column", "channel"), pixels)}, {"channel": list("RGB")}, attrs)
-    page = material_page({"preview": vocabulary.label(picture, "preview")})
-    assert page.count('class="look"') == 1
-    assert page.index("<figcaption>Preview</figcaption>") < page.index("Limits")
-    stored = base64.b64decode(re.search(r'class="look" src="data:image/png;base64,([^"]+)"', page)[1])
-    with Image.open(io.BytesIO(stored)) as shown:
-        assert (np.asarray(shown) == pixels).all()
+    picture = xr.Dataset(
+        {
+            "picture": (("row", "column", "channel"), pictures[0]),
+            "picture_in": (("lighting", "row", "column", "channel"), pictures[1:]),
+        },
+        {
+            "channel": list("RGB"),
+            "light_of": ("lighting", ["spot", "tubes"]),
+            "illuminant_of": ("lighting", ["A", "FL11"]),
+        },
+        attrs,
+    )
+    return vocabulary.label(picture, "preview")
+
+
+def test_the_pictures_of_a_material_are_near_the_top_of_its_page_in_every_light() -> None:
+    preview = pictured()
+    page = material_page({"preview": preview})
+    assert page.index('id="preview">Preview</h2>') < page.index("Limits")
+    assert re.findall(r'<label for="light-\d">([^<]+)</label>', page) == [
+        "Soft boxes, D65",
+        "Spot lamp, A",
+        "Rows of tubes, FL11",
+    ]
+    assert page.count('type="radio"') == 3
+    assert page.count(" checked>") == 1
+    shown = [
+        np.asarray(Image.open(io.BytesIO(base64.b64decode(data))))
+        for data in re.findall(r'src="data:image/jpeg;base64,([^"]+)"', page)
+    ]
+    stored = [preview["picture"].values, *preview["picture_in"].values]
+    expected = [subject for picture in stored for subject in np.split(picture, 3, axis=1)]
+    assert len(shown) == len(expected) == 9
+    for one, other in zip(shown, expected, strict=True):
+        assert one.astype(int) == pytest.approx(other.astype(int), abs=4)
+    for subject in ("Sphere", "Flat panel", "Moulded part"):
+        assert page.count(f'alt="{subject} in the light of') == 3
+
+
+def test_a_picture_of_an_earlier_version_has_two_subjects_and_one_light() -> None:
+    preview = pictured().drop_vars(["picture_in", "light_of", "illuminant_of"]).isel(column=slice(0, 32))
+    page = material_page({"preview": preview})
+    assert page.count("data:image/jpeg") == 2
+    assert "moulded part in the light" not in page.lower()
 
 
 def test_a_page_without_a_picture_does_not_mention_it():
-    assert "<figcaption>Preview</figcaption>" not in material_page({})
+    assert ">Preview<" not in material_page({})
 
 
 @pytest.mark.usefixtures("without_bsdf_figures")

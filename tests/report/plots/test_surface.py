@@ -60,6 +60,14 @@ def test_the_note_on_a_long_narrow_map_states_that_it_is_not_to_scale() -> None:
     assert "not to the same scale" in surface.height_map(_map(np.random.default_rng(0).normal(size=(32, 1000)))).note
 
 
+@pytest.mark.parametrize(("rows", "columns"), [(100, 1000), (500, 50)])
+def test_a_wide_or_tall_map_is_to_scale(rows: int, columns: int) -> None:
+    figure = surface.height_map(_map(np.random.default_rng(0).normal(size=(rows, columns))))
+    assert "scale" not in figure.note
+    wide, tall = map(float, re.search(r'<image [^>]*width="([\d.]+)" height="([\d.]+)"', figure.svg).groups())
+    assert wide / tall == pytest.approx((columns - 1) / (rows - 1), rel=0.02)
+
+
 @pytest.mark.parametrize("height", [np.zeros((40, 40)), np.full((40, 40), 5.0)])
 def test_a_flat_map_is_still_a_picture(height: np.ndarray) -> None:
     assert _picture(surface.height_map(_map(height)).svg).shape == (40, 40, 3)

@@ -223,8 +223,11 @@ def test_every_figure_is_well_formed(chapter: Chapter) -> None:
         assert not re.search(r"nan|inf\b", drawn)
 
 
-def test_six_incidences_take_less_than_165_kb(six: Datasets) -> None:
-    assert len(_page(six).encode()) < 165_000
+def test_six_incidences_take_less_than_165_kb_and_the_data_of_their_charts_40_kb(six: Datasets) -> None:
+    page = _page(six).encode()
+    data = sum(map(len, re.findall(b"<metadata>.*?</metadata>", page, re.DOTALL)))
+    assert 0 < data < 40_000
+    assert len(page) - data < 165_000
 
 
 def test_equal_data_gives_equal_bytes_also_when_stored(run: Datasets, tmp_path: Path) -> None:

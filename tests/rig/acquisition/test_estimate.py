@@ -98,5 +98,5 @@ def test_the_bench_to_start_from_takes_hours_and_reaches_everything(tmp_path):
     assert (
         first == f"sample-1 on bench-1: {result.frames} frames, {result.size / 1e6:.1f} MB, about {result.hours:.1f} h"
     )
-    assert [line.split()[0] for line in lines] == ["dark", "drift", "etalon", "sample", "manual"]
-    assert "6 arrangements" in lines[-1]
+    assert [line.split()[0] for line in lines] == ["dark", "drift", "target", "etalon", "sample", "manual"]
+    assert "7 arrangements" in lines[-1]

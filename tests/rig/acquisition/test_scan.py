@@ -8,6 +8,7 @@ import os
 import shutil
 import sys
 import time
+from contextlib import suppress
 from dataclasses import replace
 
 import filelock
@@ -114,6 +115,23 @@ def test_the_operator_is_asked_before_each_arrangement_and_only_then(plan, folde
         (10, "etalon", "ada"),
         (20, "tile", "ada"),
     ]
+
+
+def test_a_slit_that_changed_before_a_resumed_scan_is_warned_of(plan, folder):
+    def warnings(slit, **options):
+        camera = small_rig.FakeCamera(before=small_rig.failing({9}, DeviceLost("camera", "gone")))
+        monochromator = small_rig.FakeMonochromator(settings={"grating": "1", "side exit slit": slit})
+        heard = []
+        with suppress(ScanStopped):
+            bench = small_rig.fake_bench(monochromator=monochromator, camera=camera)
+            small_rig.take(plan, bench, folder, on_warning=heard.append, **options)
+        return [warning for warning in heard if "the devices are set" in warning]
+
+    assert warnings("480 um") == []
+    assert events(folder, "begun")[0]["settings"] == {"grating": "1", "side exit slit": "480 um"}
+    assert warnings("480 um", resume=True) == []
+    (warning,) = warnings("1000 um", resume=True)
+    assert "set otherwise than at the start of the run (side exit slit 1000 um, was 480 um)" in warning
 
 
 def test_an_operator_who_refuses_stops_the_scan(plan, folder):

@@ -136,6 +136,16 @@ def test_a_picture_that_moved_is_bad(plan, pixels, axis):
     )
 
 
+@pytest.mark.parametrize(("pixels", "axis"), [(5, 1), (-6, 0), (7, 1), (-7, 0)])
+def test_a_picture_that_is_not_where_it_is_described_is_bad_from_the_first_light_on(plan, pixels, axis):
+    """Even if the reference spot comes to lie at the edge of the picture."""
+    frames = changed(run(plan), lambda shot: not shot.dark, lambda counts: np.roll(counts, pixels, axis))
+    found = bad(plan, frames)
+    first = next(shot for shot in plan.shots if not shot.dark)
+    assert found[0] == (first.ordinal, "shifted")
+    assert {name for _, name in found} == {"shifted"}
+
+
 def test_a_slow_drift_of_the_picture_is_warned_of(plan):
     def moved(counts: Counts) -> Counts:
         return np.rint(ndimage.shift(counts.astype(float), (0.6, 0), order=1, mode="nearest")).astype(np.uint16)
@@ -257,14 +267,15 @@ def test_a_scan_that_is_resumed_remembers_the_spots_of_the_frames_before(plan):
     assert all(judge._spots_found.values())
 
 
-def test_a_lamp_that_warms_during_the_run_is_no_error(plan):
-    """Half of the light at first, and 10 minutes to warm."""
+@pytest.mark.parametrize(("missing", "seconds"), [(0.5, 600), (0.3, 60), (0.8, 300)])
+def test_a_lamp_that_warms_during_the_run_is_no_error(plan, missing, seconds):
+    """``missing``: share of the light that is missing at first; ``seconds``: time constant."""
     frames = rig_emulated.frames(PLASTIC, 1)
     counts, exposure = frames["counts"].values.astype(float), frames["exposure"].values
     dark = frames["purpose"].values == "dark"
     warmed = []
     for shot, own, elapsed in zip(plan.shots, counts, frames["elapsed"].values, strict=True):
         level = counts[dark & (exposure == shot.exposure)].mean(axis=0)
-        light = own if shot.dark else level + (own - level) * (1 - 0.5 * np.exp(-elapsed / 600))
+        light = own if shot.dark else level + (own - level) * (1 - missing * np.exp(-elapsed / seconds))
         warmed.append((shot, np.rint(np.clip(light, 0, 65535)).astype(np.uint16)))
     assert bad(plan, warmed) == []

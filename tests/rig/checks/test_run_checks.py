@@ -97,3 +97,12 @@ def test_bad_frames_of_a_separate_target_run_remove_none_of_the_sample():
     assert text.startswith(f"Target run, frame {frames['shot'].values[own]}: every pixel")
     alone = reduce(frames, rig, incidence=30.0)
     np.testing.assert_allclose(measured["signal"].values, alone["signal"].values, rtol=1e-3, atol=1e-9)
+
+
+def test_a_wavelength_in_the_headers_beside_the_label_is_warned_of():
+    frames, rig = rig_emulated.frames(), rig_emulated.plan().rig
+    read = frames["wavelength_read"].copy()
+    read.values[own_frames(frames, 550.0)] += 0.45
+    measured = reduce(frames.assign_coords(wavelength_read=read), rig, incidence=30.0)
+    (text,) = (text for text in vocabulary.warnings(measured) if "reports" in text)
+    assert "the monochromator reports 550.45 nm where 550 nm was requested" in text

@@ -300,7 +300,8 @@ def test_an_acton_wheel_answers_ok_to_a_filter_it_has_not(clock: VirtualClock, a
         (b"pos=2.5", b"Command error CMD_ARG_INVALID\r> "),
         (b"pos=-1", b"Command error CMD_ARG_INVALID\r> "),
         (b"speed=2", b"Command error CMD_ARG_INVALID\r> "),
-        (b"pcount=12", b"Command error CMD_ARG_INVALID\r> "),
+        (b"pcount=12", b"> "),
+        (b"pcount=7", b"Command error CMD_ARG_INVALID\r> "),
     ],
 )
 def test_the_answers_of_a_thorlabs_wheel(clock: VirtualClock, command: bytes, answer: bytes) -> None:

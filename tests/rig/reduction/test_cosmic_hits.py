@@ -5,12 +5,15 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 import rig_accuracy as accuracy
 import rig_emulated
 
 from brdfpipe.rig.emulator.effects import Effects
 from brdfpipe.rig.reduction import cosmic_hits
 from brdfpipe.rig.reduction.brackets import DarkFrames, read_bracket
+from brdfpipe.rig.reduction.calibration import calibrate
+from brdfpipe.rig.reduction.primary import apply_profile
 from brdfpipe.rig.reduction.relative_light import reduce
 
 
@@ -77,3 +80,17 @@ def test_spots_as_sharp_as_a_hit_keep_their_light():
     kept = read_bracket(some, darks, small)
     assert kept.cosmic_hits == 0
     assert kept.light[0, 5, 5] > 1000
+
+
+@pytest.mark.slow
+def test_a_hundred_and_fifty_hits_in_each_frame_hardly_change_the_result():
+    plan, truth = rig_emulated.plan(), accuracy.TRUTHS["plastic, 10 sr⁻¹, 3°"]()
+
+    def errors(hits: float) -> np.ndarray:
+        frames = accuracy.frames_of(plan, truth, seed=1, effects=replace(Effects(), cosmic=hits))
+        profile = calibrate(accuracy.reduced(plan, frames, "etalon"), accuracy.certificate())
+        return np.abs(accuracy.compared(apply_profile(accuracy.reduced(plan, frames, "sample"), profile), truth).error)
+
+    without, hit = errors(0.0), errors(150.0)
+    assert np.percentile(hit, 95) < 1.25 * np.percentile(without, 95)
+    assert np.percentile(hit, 50) < 1.25 * np.percentile(without, 50)

@@ -77,7 +77,7 @@ def contradictions(bsdf: xr.Dataset) -> xr.DataArray:
 
 
 def with_contradictions(bsdf: xr.Dataset) -> xr.Dataset:
-    """A BSDF whose uncertainties are enlarged at incidences that contradict the others.
+    """A BSDF whose uncertainties are enlarged at incidences that contradict the others, which its attributes name with their contradiction.
 
     A wrong incidence contradicts all others, a right one only the wrong ones: so the median of an incidence's contradictions counts.
     """
@@ -90,6 +90,10 @@ def with_contradictions(bsdf: xr.Dataset) -> xr.Dataset:
     contradicting = {incidence: size for incidence, size in by_incidence.items() if size > CONTRADICTING}
     if not contradicting:
         return bsdf
+    bsdf = bsdf.assign_attrs(
+        contradicting_incidences=[float(incidence) for incidence in contradicting],
+        contradicting_times=[float(size) for size in contradicting.values()],
+    )
     sizes = [by_incidence.get(incidence, max(by_incidence.values())) for incidence in bsdf["incidence"].values]
     enlarged = (bsdf["transmitted"].values == 0) & (np.array(sizes) > CONTRADICTING)
     factor = xr.DataArray(np.where(enlarged, sizes, 1.0), dims="node")

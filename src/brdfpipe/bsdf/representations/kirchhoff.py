@@ -27,6 +27,14 @@ _WING = 0.02  # share of the diffracted light in the wing of a lobe
 _LEAST_SHARE = 1e-3  # of a wavelength in a mean, over that of the heaviest
 
 
+def _light_at(bsdf: xr.Dataset, wavelength: Array | None) -> _Light:
+    """Light of a ``bsdf`` dataset at wavelengths [nm], None for its own."""
+    if "mixture" in bsdf:
+        return _Light(*(bsdf[name].values for name in ("mixed_wavelength", "n", "k", "mixture")))
+    used = bsdf["wavelength"].values if wavelength is None else np.asarray(wavelength, dtype=float)
+    return _Light(used, at_wavelengths(bsdf["n"], wavelength), at_wavelengths(bsdf["k"], wavelength), None)
+
+
 class Kirchhoff(CoupledSurface):
     """Coherent mirror reflection and diffracted light f = F(ζ) U(q, f)/λ² of one map; F is Fresnel's reflectance of the half vector."""
 
@@ -55,14 +63,8 @@ class Kirchhoff(CoupledSurface):
     def __init__(self, dataset: xr.Dataset) -> None:
         super().__init__(dataset)
         self._diffraction = Diffraction.of(dataset)
-        self._light = per_wavelength(self._light_at)
-
-    def _light_at(self, wavelength: Array | None) -> _Light:
-        bsdf = self.dataset
-        if "mixture" in bsdf:
-            return _Light(*(bsdf[name].values for name in ("mixed_wavelength", "n", "k", "mixture")))
-        used = bsdf["wavelength"].values if wavelength is None else np.asarray(wavelength, dtype=float)
-        return _Light(used, at_wavelengths(bsdf["n"], wavelength), at_wavelengths(bsdf["k"], wavelength), None)
+        # A function of the dataset, not of this object, which would keep itself alive.
+        self._light = per_wavelength(lambda wavelength: _light_at(dataset, wavelength))
 
     def evaluate(self, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array, wavelength: Array | None) -> Array:
         light, base = self._light(wavelength), self._base(wavelength)

@@ -49,12 +49,14 @@ class Traced(CoupledSurface):
 
     def __init__(self, dataset: xr.Dataset) -> None:
         super().__init__(dataset)
-        self._table = TracedTable.of(dataset)
-        self._colour = per_wavelength(self._colour_at)
+        table = TracedTable.of(dataset)
 
-    def _colour_at(self, wavelength: Array | None) -> Colour:
-        n, k = (np.atleast_1d(at_wavelengths(self.dataset[name], wavelength)) for name in ("n", "k"))
-        return self._table.colour(n, k)
+        def colour_at(wavelength: Array | None) -> Colour:
+            # A function of the dataset, not of this object, which would keep itself alive.
+            n, k = (np.atleast_1d(at_wavelengths(dataset[name], wavelength)) for name in ("n", "k"))
+            return table.colour(n, k)
+
+        self._table, self._colour = table, per_wavelength(colour_at)
 
     def evaluate(self, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array, wavelength: Array | None) -> Array:
         colour, base = self._colour(wavelength), self._base(wavelength)

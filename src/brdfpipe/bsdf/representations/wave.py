@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from functools import cached_property, partial
 from typing import NamedTuple, Self
 
@@ -73,6 +73,20 @@ def _mixed(dims: tuple[str, ...]) -> tuple[str, ...]:
     return tuple("mixed" if dim == "wavelength" else dim for dim in dims)
 
 
+def _spectral_at(bsdf: xr.Dataset, wavelength: Array | None) -> _Spectral:
+    """Fields of a ``bsdf`` dataset at wavelengths [nm], None for its own."""
+    excess = spectral_values(bsdf, "coherent_excess", wavelength)
+    lay = "phi_i" in bsdf.variables["coherent_excess"].dims
+    around = (bsdf.variables["phi_i"].values, ellipse_of(bsdf)) if lay else (None, None)
+    fields = CoupledBase.of(bsdf, wavelength), AlbedoTable(bsdf.variables["theta_i"].values, excess, *around)
+    if "mixture" in bsdf:
+        wavelength, n, k, mixture = (bsdf.variables[name].values for name in ("mixed_wavelength", "n", "k", "mixture"))
+        return _Spectral(wavelength, n, k, *fields, mixture)
+    used = bsdf["wavelength"].values if wavelength is None else np.asarray(wavelength, dtype=float)
+    n, k = (spectral_values(bsdf, name, wavelength) for name in ("n", "k"))
+    return _Spectral(used, n, k, *fields, None)
+
+
 class Wave(Representation):
     """A surface that reflects coherently, scatters as waves do and mirrors by facets, over a diffuse base.
 
@@ -113,28 +127,14 @@ class Wave(Representation):
 
     def __init__(self, dataset: xr.Dataset) -> None:
         super().__init__(dataset)
-        self._spectral = per_wavelength(self._at)
-        self._reflectance = per_wavelength(lambda wavelength: reflectance_of(*self._spectral(wavelength)[1:3]))
+        # Functions of the dataset, not of this object, which would keep itself alive.
+        spectral = per_wavelength(lambda wavelength: _spectral_at(dataset, wavelength))
+        self._spectral = spectral
+        self._reflectance = per_wavelength(lambda wavelength: reflectance_of(*spectral(wavelength)[1:3]))
 
     @cached_property
     def _surface(self) -> RoughSurface:
         return RoughSurface.of(self.dataset)
-
-    def _at(self, wavelength: Array | None) -> _Spectral:
-        bsdf = self.dataset
-
-        excess = spectral_values(bsdf, "coherent_excess", wavelength)
-        lay = "phi_i" in bsdf.variables["coherent_excess"].dims
-        around = (bsdf.variables["phi_i"].values, ellipse_of(bsdf)) if lay else (None, None)
-        fields = CoupledBase.of(bsdf, wavelength), AlbedoTable(bsdf.variables["theta_i"].values, excess, *around)
-        if "mixture" in bsdf:
-            wavelength, n, k, mixture = (
-                bsdf.variables[name].values for name in ("mixed_wavelength", "n", "k", "mixture")
-            )
-            return _Spectral(wavelength, n, k, *fields, mixture)
-        used = bsdf["wavelength"].values if wavelength is None else np.asarray(wavelength, dtype=float)
-        n, k = (spectral_values(bsdf, name, wavelength) for name in ("n", "k"))
-        return _Spectral(used, n, k, *fields, None)
 
     def with_changed(self, dataset: xr.Dataset, names: Collection[str]) -> Self:
         """See the base class."""
@@ -276,22 +276,27 @@ class Wave(Representation):
     @cached_property
     def lobe_slope(self) -> float:
         """Facet slope at which the halo has half its peak, at normal incidence and the middle wavelength, or of the facets if smaller."""
-        return self.slope_of(self.dataset)
+        return self._lobe_slopes(0.0)
 
     def lobe_slope_at(self, theta_i: float) -> float:
         """See the base class. Towards grazing incidence the phase variance falls, and light of first order by long waves is the narrowest part."""
-        return min(self.lobe_slope, self.slope_of(self.dataset, theta_i))
+        return min(self.lobe_slope, self._lobe_slopes(theta_i))
+
+    @cached_property
+    def _lobe_slopes(self) -> Callable[[float], float]:
+        return self.lobe_slopes_of(self.dataset)
 
     @staticmethod
-    def slope_of(bsdf: xr.Dataset, theta_i: float = 0.0) -> float:
-        """That of a ``bsdf`` dataset, at an incidence [degree]."""
+    def lobe_slopes_of(bsdf: xr.Dataset) -> Callable[[float], float]:
+        """That of a ``bsdf`` dataset, as a function of the incidence [degree]; the dataset is read once."""
         of_facets = Microsurface.of(bsdf).typical_slope if "slope_density" in bsdf else 1.0
-        return min(Wave._halo_slope(bsdf, theta_i), of_facets)
+        of_halo = Wave._halo_slopes(bsdf)
+        return lambda theta_i: min(of_halo(theta_i), of_facets)
 
     @staticmethod
     def widths_of(bsdf: xr.Dataset) -> tuple[float, float]:
         """Slopes along the lay and across it over which the halo or the facets of a ``bsdf`` dataset vary, whichever is narrower."""
-        of_halo = Wave._halo_slope(bsdf)
+        of_halo = Wave._halo_slopes(bsdf)(0.0)
         squared = float(bsdf["halo_stretch"]) ** 2 if "halo_stretch" in bsdf else 1.0
         widths = of_halo, of_halo * squared
         if "slope_along" not in bsdf.coords:
@@ -300,22 +305,25 @@ class Wave(Representation):
         return min(widths[0], ellipse.along), min(widths[1], ellipse.across)
 
     @staticmethod
-    def _halo_slope(bsdf: xr.Dataset, theta_i: float = 0.0) -> float:
-        """Slope at which the halo has half its peak at an incidence [degree], with a lay along it; 1 without a halo."""
+    def _halo_slopes(bsdf: xr.Dataset) -> Callable[[float], float]:
+        """Slope at which the halo has half its peak, as a function of the incidence [degree], with a lay along it; 1 without a halo."""
         if "log_halo" not in bsdf:
-            return 1.0
+            return lambda theta_i: 1.0
         wavelength = bsdf["mixed_wavelength" if "mixture" in bsdf else "wavelength"].values
-        middle = float(wavelength[wavelength.size // 2]) * 1e-3
-        phase, frequency = bsdf["phase_variance"].values, bsdf["halo_frequency"].values
-        both = 2 * max(np.cos(np.radians(theta_i)), 1e-3)
-        row = int(np.argmin(np.abs(phase - (2 * np.pi * both * float(bsdf["sigma"]) / middle) ** 2)))
-        values = bsdf["log_halo"].values[row]
-        if values.ndim == 2:
-            values, frequency = values.max(axis=1), frequency / float(bsdf["halo_stretch"])
-        # A measured spectrum has no heights longer than the scan, and its halo a dip in the middle.
-        below = (values < values.max() - np.log(2)) & (np.arange(values.size) > values.argmax())
-        half = frequency[below.argmax()] if below.any() else frequency[-1]
-        return float(np.clip(half * middle / both, 1e-9, 1.0))
+        middle, sigma = float(wavelength[wavelength.size // 2]) * 1e-3, float(bsdf["sigma"])
+        phase, frequency, log_halo = (bsdf[name].values for name in ("phase_variance", "halo_frequency", "log_halo"))
+        if log_halo.ndim == 3:
+            log_halo, frequency = log_halo.max(axis=2), frequency / float(bsdf["halo_stretch"])
+
+        def at_incidence(theta_i: float) -> float:
+            both = 2 * max(np.cos(np.radians(theta_i)), 1e-3)
+            values = log_halo[np.argmin(np.abs(phase - (2 * np.pi * both * sigma / middle) ** 2))]
+            # A measured spectrum has no heights longer than the scan, and its halo a dip in the middle.
+            below = (values < values.max() - np.log(2)) & (np.arange(values.size) > values.argmax())
+            half = frequency[below.argmax()] if below.any() else frequency[-1]
+            return float(np.clip(half * middle / both, 1e-9, 1.0))
+
+        return at_incidence
 
     def nonspectral(self, weight: Array) -> xr.Dataset:
         """The mean over wavelength. Coherent part and halo are evaluated at a few wavelengths that stand for all of them."""

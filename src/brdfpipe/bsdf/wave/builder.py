@@ -647,11 +647,13 @@ def _directions(bsdf: xr.Dataset, azimuths: Array) -> Callable[[float], Iterator
     """Weights and directions of an integral over the lobe, by azimuths of incidence, as a function of its angle [degree]."""
     if azimuths.size > 1:
         (along, across), lay = Wave.widths_of(bsdf), ellipse_of(bsdf).lay
+    else:
+        slopes = Wave.lobe_slopes_of(bsdf)
 
     def at_incidence(theta_i: float) -> Iterator[tuple[Array, Angles]]:
         if azimuths.size == 1:
             # The rule covers one side of the plane of incidence.
-            slope = min(Wave.slope_of(bsdf), Wave.slope_of(bsdf, theta_i))
+            slope = min(slopes(0.0), slopes(theta_i))
             turns = _TURNS if np.cos(np.radians(theta_i)) > _LONG_LOBE else 2 * _TURNS
             rules = [hemisphere.around_mirror(theta_i, slope, order=5, turns=turns)]
         else:

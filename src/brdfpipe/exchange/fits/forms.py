@@ -4,18 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 
 from brdfpipe.geometry import Array, half_vector
 from brdfpipe.optics.fresnel_equations import fresnel
 
-_SAMPLES = 32
-"""Gauss–Legendre nodes of the distribution of facets, and of half a turn about the normal."""
+_FACETS_RULE = np.polynomial.legendre.leggauss(32)
+"""Gauss–Legendre nodes and weights of the distribution of facets, and of half a turn about the normal."""
 _KEPT_LOBES = 16
 _STORED_ALBEDOS = 48
-_BASE_RULE = 24
+_BASE_RULE = np.polynomial.legendre.leggauss(24)
+"""Of the directions of view, and of half a turn about the normal."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +44,7 @@ class Lobe:
     def albedo(self, theta_i: Array) -> Array:
         """Directional reflectance (incidences, channels), by an integral over the facets."""
         theta_i = np.asarray(theta_i, dtype=float)[:, None, None]
-        nodes, weights = np.polynomial.legendre.leggauss(_SAMPLES)
+        nodes, weights = _FACETS_RULE
         share, around = (nodes + 1) / 2, np.pi * (nodes + 1) / 2
         squared = share / (1 - share) if self.distribution == "ggx" else -np.log1p(-share)
         theta_h = np.arctan(self.alpha * np.sqrt(squared))[:, None]
@@ -55,6 +56,12 @@ class Lobe:
         masked = np.where(lit, self._masking(cos_i, np.where(lit, cos_o, 1.0)) * on_facet / (cos_i * cos_h), 0.0)
         reflected = masked[..., None] * self._reflected(np.clip(on_facet, 0, 1), np.clip(cos_o, 0, 1))
         return np.asarray(np.einsum("iuac,u,a->ic", reflected, weights / 2, weights / 2))
+
+    @cached_property
+    def layered(self) -> tuple[Array, Array]:
+        """Increasing angles [degree], and the directional reflectance of the first channel, between which what lies below the lobe is interpolated."""
+        angles = np.linspace(0.0, 89.9, _STORED_ALBEDOS)
+        return angles, self.albedo(angles)[:, 0]
 
     def _reflected(self, on_facet: Array, cos_o: Array) -> Array:
         """Reflectance of a facet, and of those that its light meets, (…, channels)."""
@@ -115,7 +122,7 @@ class Material:
 
 def base_share(lobe: Lobe, under_lobe: Callable[[Lobe, Array, Array, Array, Array], Array], theta_i: Array) -> Array:
     """Directional reflectance (incidences, 1) of a white base below the lobe."""
-    nodes, weights = np.polynomial.legendre.leggauss(_BASE_RULE)
+    nodes, weights = _BASE_RULE
     theta_o = np.degrees(np.arcsin(np.sqrt((nodes + 1) / 2)))
     polar, around, incident = np.meshgrid(theta_o, 90 * (nodes + 1), np.asarray(theta_i, dtype=float), indexing="ij")
     values = under_lobe(lobe, incident.ravel(), np.zeros(incident.size), polar.ravel(), around.ravel())
@@ -124,8 +131,7 @@ def base_share(lobe: Lobe, under_lobe: Callable[[Lobe, Array, Array, Array, Arra
 
 def by_albedo(lobe: Lobe, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array) -> Array:
     """1 − the lobe's reflectance from the direction of view: layering of OpenPBR and MaterialX."""
-    angles = np.linspace(0.0, 89.9, _STORED_ALBEDOS)
-    return np.asarray(1 - np.interp(theta_o, angles, lobe.albedo(angles)[:, 0]))[:, None]
+    return np.asarray(1 - np.interp(theta_o, *lobe.layered))[:, None]
 
 
 def by_fresnel(lobe: Lobe, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array) -> Array:

@@ -11,8 +11,9 @@ from brdfpipe.appearance.origin import METAL_EXTINCTION
 from brdfpipe.bsdf.nonspectral import nonspectral
 from brdfpipe.bsdf.registry import representation
 from brdfpipe.exchange import records
-from brdfpipe.exchange.fits.fitting import Fit, Form, checked, fit, index_of, is_smooth
+from brdfpipe.exchange.fits.fitting import Fit, Form, checked, fit
 from brdfpipe.exchange.fits.forms import Lobe, dielectric, nothing, schlick
+from brdfpipe.exchange.fits.light import ReflectedLight, index_of, is_smooth
 from brdfpipe.exchange.gridded import linear_rgb
 from brdfpipe.exchange.registry import Format
 from brdfpipe.geometry import Array
@@ -85,11 +86,12 @@ def fitted(
     ExchangeError : the fit is beyond a limit, the surface has a lay, or no light is reflected.
     """
     n, k = index_of(bsdf)
+    light = ReflectedLight(bsdf)
     if k > METAL_EXTINCTION:
         normal = _reflectance_of_metal(bsdf)
-        found = fit(bsdf, Form("ggx", lambda _: schlick(normal), nothing, n, compensated))
+        found = fit(light, Form("ggx", lambda _: schlick(normal), nothing, n, compensated))
         return Fitted(bsdf, checked(found, largest_error, largest_delta_e, form), normal, is_metal=True)
-    found = fit(bsdf, Form("ggx", dielectric if exact_fresnel else _schlick_of_index, under_lobe, n, compensated))
+    found = fit(light, Form("ggx", dielectric if exact_fresnel else _schlick_of_index, under_lobe, n, compensated))
     checked(found, largest_error, largest_delta_e, form)
     return Fitted(bsdf, found, found.material.base, is_metal=False)
 

@@ -9,17 +9,12 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-import xarray as xr
 from scipy.optimize import least_squares
 
-from brdfpipe.bsdf.nonspectral import nonspectral
-from brdfpipe.bsdf.registry import representation
-from brdfpipe.bsdf.table_error import Evaluate, Pairs, errors_at, fresh_pairs, fresh_pairs_at
-from brdfpipe.exchange.fits.fitting import INCIDENCES, LEAST_REFLECTANCE, delta_e_of_greys, reflected_light
+from brdfpipe.bsdf.table_error import Evaluate, Pairs
+from brdfpipe.exchange.fits.light import INCIDENCES, LEAST_REFLECTANCE, ReflectedLight, Sampled, delta_e_of_greys
 from brdfpipe.geometry import Array
 
-_COMPARED = 7
-"""Seed of the directions at which the error of a fit is stated."""
 _STARTING_WIDTHS = (0.01, 0.03, 0.1, 0.3)
 
 
@@ -88,7 +83,7 @@ class ScatterError:
     peak: float
     """Largest error of the BRDF in the mirror direction of the incidences, relative to it"""
     delta_e: float | None
-    """See :func:`brdfpipe.exchange.fits.fitting.delta_e_of_greys`; None of a single incidence"""
+    """See :func:`brdfpipe.exchange.fits.light.delta_e_of_greys`; None of a single incidence"""
     directions: int
 
 
@@ -109,55 +104,59 @@ def distance(pairs: Pairs) -> Array:
     return np.asarray(np.hypot(sines[1] * np.cos(turn) + sines[0], sines[1] * np.sin(turn)))
 
 
-def fit_formula(bsdf: xr.Dataset, name: str, theta_i: float | None = None) -> ScatterFit:
+def fit_formula(light: ReflectedLight, name: str, theta_i: float | None = None) -> ScatterFit:
     """Fit a formula of :data:`FORMULAS` to the reflected light, weighted with V(λ) and D65.
 
     Parameters
     ----------
-    bsdf : kind ``bsdf``, without a lay
+    light : of a BSDF
     theta_i : the incidence of the fit and of its error [degree]; by default all, and reflectance and peak at
-        :data:`brdfpipe.exchange.fits.fitting.INCIDENCES`
+        :data:`brdfpipe.exchange.fits.light.INCIDENCES`
 
     Raises
     ------
-    ExchangeError : the surface has a lay, or no light is scattered back.
+    ExchangeError : no light is scattered back.
 
     Notes
     -----
     Least squares of the cube roots of BRDF·cos θ_o, as :func:`brdfpipe.exchange.fits.fitting.fit`; from several starting widths.
     """
     formula = FORMULAS[name]
-    *lobe, base = _least_squares(formula, *reflected_light(bsdf, theta_i))
+    *lobe, base = _least_squares(formula, light.fitted(theta_i))
     parameters = dict(zip((*formula.names, "L"), (*lobe, base), strict=True))
-    return ScatterFit(parameters, error_by_incidence(bsdf, name, {theta_i or 0.0: parameters}, theta_i))
+    return ScatterFit(parameters, error_by_incidence(light, name, {theta_i or 0.0: parameters}, theta_i))
 
 
 def error_by_incidence(
-    bsdf: xr.Dataset, name: str, parameters: Mapping[float, Mapping[str, float]], theta_i: float | None = None
+    light: ReflectedLight, name: str, parameters: Mapping[float, Mapping[str, float]], theta_i: float | None = None
 ) -> ScatterError:
     """Error of a formula whose parameters are interpolated linearly in the cosine of the incidence, as OpticStudio does.
 
     Parameters
     ----------
-    bsdf : kind ``bsdf``, without a lay
+    light : of a BSDF
     parameters : increasing incidence [degree] → parameters, which hold beyond the outermost
     theta_i : the incidence of the error; see :func:`fit_formula`
     """
-    formula, reduced = FORMULAS[name], nonspectral(bsdf)
+    formula = FORMULAS[name]
     evaluate = at_incidence(formula, parameters)
     incidences = INCIDENCES if theta_i is None else np.array([theta_i])
-    fresh = fresh_pairs(reduced, _COMPARED) if theta_i is None else fresh_pairs_at(reduced, incidences, _COMPARED)
-    errors = errors_at(reduced, evaluate, fresh.chosen(fresh.theta_o < 90))
-    model, plane = representation(reduced), np.zeros_like(incidences)
-    scattered = (model.albedo(incidences, plane, None) - model.specular(incidences, plane, None)[0])[:, 0]
     lobe, base = _interpolated(formula, parameters, incidences)
-    off = np.abs(reflectance_of(formula, lobe, incidences) + base - scattered)
+    return error_of_fit(light, evaluate, reflectance_of(formula, lobe, incidences) + base, theta_i)
+
+
+def error_of_fit(
+    light: ReflectedLight, evaluate: Evaluate, reflectance: Array, theta_i: float | None = None
+) -> ScatterError:
+    """Error of a fit, and of its reflectance at :data:`brdfpipe.exchange.fits.light.INCIDENCES` or at the one incidence [degree] of the error."""
+    incidences = INCIDENCES if theta_i is None else np.array([theta_i])
+    errors, scattered = light.compared(theta_i).errors(evaluate), light.reflectance(incidences)
     return ScatterError(
         float(np.median(errors)),
         float(np.quantile(errors, 0.95)),
-        float((off / np.maximum(scattered, LEAST_REFLECTANCE)).max()),
-        float(errors_at(reduced, evaluate, Pairs(incidences, plane, incidences, plane + 180.0)).max()),
-        delta_e_of_greys(reduced, evaluate) if theta_i is None else None,
+        float((np.abs(reflectance - scattered) / np.maximum(scattered, LEAST_REFLECTANCE)).max()),
+        float(light.mirrored(incidences).errors(evaluate).max()),
+        delta_e_of_greys(light.reduced, evaluate) if theta_i is None else None,
         errors.size,
     )
 
@@ -185,8 +184,9 @@ def _interpolated(
     return (scale, width, exponent), base
 
 
-def _least_squares(formula: Formula, pairs: Pairs, values: Array) -> tuple[float, float, float, float]:
+def _least_squares(formula: Formula, light: Sampled) -> tuple[float, float, float, float]:
     """The parameters of the lobe, and the reflectance of the base."""
+    pairs, values = light
     x, cos_i, cos_o = distance(pairs), np.cos(np.radians(pairs.theta_i)), np.cos(np.radians(pairs.theta_o))
     wanted = np.cbrt(values * cos_o)
 

@@ -10,10 +10,11 @@ import xarray as xr
 
 from brdfpipe import vocabulary
 from brdfpipe.appearance.verdicts import check_verdicts, json_object
-from brdfpipe.exchange.records import errors_in_words
-from brdfpipe.exchange.registry import FORMATS, PROPERTIES
+from brdfpipe.exchange.records import errors_in_brief
+from brdfpipe.exchange.registry import FORMATS, LOSSES
 from brdfpipe.report.cards import Section, Table
 from brdfpipe.report.formatting import quantity
+from brdfpipe.texture.file_names import MAP_FILES
 
 _RESIDUALS = (
     "reciprocity_residual",
@@ -42,6 +43,21 @@ def exports_table(datasets: Mapping[str, xr.Dataset], name: str) -> Table | None
     if "lambert_gauss" in datasets:
         description = "parameters of the Lambert + Gauss fit"
         rows.append((f"{name}.lambert_gauss.csv", "reflection", description, "", ""))
+    if "texture" in datasets:
+        rows.append(
+            (
+                ", ".join(f"{name}{end}" for end in MAP_FILES),
+                "reflection",
+                "height and normal map of the texture",
+                "",
+                "",
+            )
+        )
+    if "picture_texture" in datasets:
+        listed = ", ".join(_picture_files(datasets["picture_texture"], name))
+        rows.append((listed, "reflection", "light over its mean, by geometry", "", ""))
+    if "unresolved" in datasets and (files := json_object(datasets["unresolved"].attrs.get("files"))):
+        rows.append((", ".join(files), "reflection", "materials of renderers with these maps", "", ""))
     if "readings" in datasets:
         rows.append((f"{name}.readings.csv", "", "readings of instruments beside their predictions", "", ""))
     note = "In the folder `exports`. A `.json` beside a file states the error of the file against the BSDF, measured off its nodes."
@@ -53,8 +69,16 @@ def exported_files(datasets: Mapping[str, xr.Dataset], name: str) -> list[str]:
     """Names of the exported files, from the folder of the page."""
     files = [file for dataset in datasets.values() for file in json_object(dataset.attrs.get("files"))]
     named = {"lambert_gauss": "lambert_gauss.csv", "readings": "readings.csv"}
+    files += [f"{name}{end}" for end in MAP_FILES if "texture" in datasets]
+    if "picture_texture" in datasets:
+        files += _picture_files(datasets["picture_texture"], name)
     files += [f"{name}.{suffix}" for stage, suffix in named.items() if stage in datasets]
     return [f"exports/{file}" for file in files]
+
+
+def _picture_files(texture: xr.Dataset, name: str) -> list[str]:
+    numbers = range(1, texture.sizes["geometry"] + 1)
+    return [*(f"{name}.texture-{number}.{end}" for number in numbers for end in ("png", "exr")), f"{name}.texture.json"]
 
 
 def _exported(dataset: xr.Dataset) -> tuple[str, ...]:
@@ -64,11 +88,11 @@ def _exported(dataset: xr.Dataset) -> tuple[str, ...]:
     if refusals := vocabulary.warnings(dataset):
         return f"{format}: none", side, described, refusals[0], ""
     named = json_object(dataset.attrs["records"])
-    errors = {file: "; ".join(errors_in_words(record)) for file, record in named.items()}
+    errors = {file: errors_in_brief(record) for file, record in named.items()}
     if len(set(errors.values())) > 1:
         errors = {file: f"{file}: {text}" for file, text in errors.items()}
     stated = "; ".join(dict.fromkeys(errors.values()))
-    lost = dict.fromkeys(PROPERTIES[key] for record in named.values() for key in record.get("left_out", {}))
+    lost = dict.fromkeys(LOSSES[key] for record in named.values() for key in record.get("left_out", {}))
     return ", ".join(json_object(dataset.attrs["files"])), side, described, stated, "; ".join(lost)
 
 

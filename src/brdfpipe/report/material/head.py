@@ -1,24 +1,30 @@
-"""Head of the page: key numbers, one tile for each appearance quantity, and the rendered picture."""
+"""Head of the page: key numbers, one tile for each appearance quantity, and the rendered pictures."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import groupby
 
+import numpy as np
 import xarray as xr
-from markupsafe import Markup
+from numpy.typing import NDArray
 
 from brdfpipe.appearance.quantities import AppearanceQuantity, quantities, quantities_on_request
 from brdfpipe.report.formatting import length, number, value_with_u
-from brdfpipe.report.plots.svg import Figure, png
+from brdfpipe.report.plots.svg import data_uri
 
 _LIGHTS = {
-    "studio": "three soft boxes and a dim sky",
-    "sun": "a small sun and a clear sky",
-    "overcast": "an overcast sky",
+    "studio": ("Soft boxes", "three soft boxes and a dim sky"),
+    "sun": ("Sun", "a small sun and a clear sky"),
+    "overcast": ("Overcast sky", "an overcast sky"),
+    "spot": ("Spot lamp", "one lamp in a dim room"),
+    "tubes": ("Rows of tubes", "four rows of tubes"),
 }
+"""By light of the preview: its name, and what it is."""
+
+_SUBJECTS = ("sphere", "flat panel", "moulded part")
 
 
 @dataclass(frozen=True)
@@ -41,7 +47,9 @@ def key_numbers(datasets: Mapping[str, xr.Dataset]) -> Iterator[KeyNumber]:
                 *(_value_and_unit(one, value, one.uncertainty(datasets)) for one, value in values.items()), strict=True
             )
             hint = next(iter(values)).hint
-            yield KeyNumber(title, "  ".join(texts), units[0], hint if isinstance(hint, str) else hint(datasets))
+            # A narrow page breaks lines between values only.
+            values_alone = (text.replace(" ", "\N{NO-BREAK SPACE}") for text in texts)
+            yield KeyNumber(title, "  ".join(values_alone), units[0], hint if isinstance(hint, str) else hint(datasets))
 
 
 def _value_and_unit(quantity: AppearanceQuantity, value: float, u: float) -> tuple[str, str]:
@@ -54,16 +62,52 @@ def _value_and_unit(quantity: AppearanceQuantity, value: float, u: float) -> tup
     return text, {"1": "", "cd m-2": "cd/m²"}.get(quantity.unit, quantity.unit)
 
 
-def picture(preview: xr.Dataset | None) -> Figure | None:
-    """The preview as a figure; None without one."""
+@dataclass(frozen=True)
+class Look:
+    """The material in one light."""
+
+    name: str
+    pictures: tuple[tuple[str, str], ...]
+    """What is shown, and its data URI"""
+
+
+@dataclass(frozen=True)
+class Looks:
+    """The material in every light of its preview, that of the scene first."""
+
+    lights: tuple[Look, ...]
+    side: int
+    note: str
+
+
+def looks(preview: xr.Dataset | None) -> Looks | None:
+    """The preview as pictures of its subjects; None without one."""
     if preview is None:
         return None
-    pixels = preview["picture"].values
-    subject = f"Sphere and flat panel under {_LIGHTS.get(str(preview.attrs['light']), 'lights')}"
-    markup = Markup('<img class="look" src="{}" width="{}" height="{}" alt="{}">')
-    note = (
-        f"{subject}, spectrum of {preview.attrs['illuminant']}. Rendered from the BRDF. The exposure is the same for every material: "
-        f"a perfect white diffuser reaches {100 * float(preview.attrs['white_level']):.0f} % of the screen's white. Brighter light is "
-        "compressed."
+    shown = [(str(preview.attrs["light"]), str(preview.attrs["illuminant"]), preview["picture"].values)]
+    if "picture_in" in preview:
+        others = (preview[name].values for name in ("light_of", "illuminant_of", "picture_in"))
+        shown += [(str(light), str(illuminant), pixels) for light, illuminant, pixels in zip(*others, strict=True)]
+    side = preview.sizes["row"]
+    subjects = _SUBJECTS[: preview.sizes["column"] // side]
+    return Looks(
+        tuple(_look(*light, subjects) for light in shown),
+        side,
+        f"Rendered from the BRDF, for an eye adapted to the light. The exposure is the same for every material: a perfect white diffuser reaches "
+        f"{100 * float(preview.attrs['white_level']):.0f} % of the screen's white, and brighter light is compressed. The part has no shadows of "
+        "its own. See where highlights lie on the ribs and how sharp their edges are.",
     )
-    return Figure("Preview", markup.format(png(pixels), pixels.shape[1], pixels.shape[0], subject), note=note)
+
+
+def _look(light: str, illuminant: str, pixels: NDArray[np.uint8], subjects: Sequence[str]) -> Look:
+    name, words = _LIGHTS.get(light, (light, "lights"))
+    pictures = np.split(pixels, len(subjects), axis=1)
+    described = (f"{subject.capitalize()} in the light of {words}, {illuminant}" for subject in subjects)
+    return Look(f"{name}, {illuminant}", tuple(zip(described, map(_jpeg, pictures), strict=True)))
+
+
+def _jpeg(pixels: NDArray[np.uint8]) -> str:
+    """Data URI of a picture (rows, columns, 3): a third of the size of a PNG, with colours at every pixel."""
+    from PIL import Image
+
+    return data_uri(Image.fromarray(np.ascontiguousarray(pixels)), "jpeg", quality=90, subsampling=0)

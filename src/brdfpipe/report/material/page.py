@@ -26,7 +26,7 @@ from brdfpipe.report.cards import Section, Table
 from brdfpipe.report.formatting import colour
 from brdfpipe.report.material.checks import checks_section, exported_files, exports_table, provenance
 from brdfpipe.report.material.colour import colour_section
-from brdfpipe.report.material.head import key_numbers, picture
+from brdfpipe.report.material.head import key_numbers, looks
 from brdfpipe.report.material.inputs import (
     coat_section,
     effect_pigment_section,
@@ -39,6 +39,7 @@ from brdfpipe.report.material.plan import choice_words, plan_section
 from brdfpipe.report.material.readings import readings_section
 from brdfpipe.report.material.reflection import lambert_gauss_section, reflection_section
 from brdfpipe.report.material.roughness import roughness_section
+from brdfpipe.report.material.texture import texture_section
 from brdfpipe.report.rendering import as_json, material_name, own_stages, render
 from brdfpipe.report.rig import section as rig_section
 from brdfpipe.report.viewer import viewer_data
@@ -67,7 +68,7 @@ def material_page(
     Returns
     -------
     HTML that requests nothing from elsewhere, the same bytes for the same datasets; with the data set as JSON-LD. Its only script is that of
-    the directional viewer, allowed by its hash; without it the page has all figures.
+    the directional viewer and of the data of figures, allowed by its hash; without it the page has all figures.
     """
     known = own_stages(datasets)
     appearance = known.get("appearance")
@@ -89,6 +90,7 @@ def material_page(
         readings_section(known),
         reflection_section(known),
         colour_section(known),
+        texture_section(known),
         *([] if measured else inputs),
         lambert_gauss_section(known),
         checks_section(known),
@@ -100,7 +102,9 @@ def material_page(
     technique = f"{route(known).capitalize()} from {basis(known) or 'no data'}"
     exported_paths = exported_files(known, name)
     directional = viewer_data(known)
-    script, script_hash = rendering.script("uPlot.js", "viewer.js") if directional else ("", "")
+    shown = [section for section in sections if section]
+    scripts = [*(["figures.js"] if shown else []), *(["uPlot.js", "viewer.js"] if directional else [])]
+    script, script_hash = rendering.script(*scripts) if scripts else ("", "")
     return render(
         "material.html.j2",
         viewer=as_json(directional) if directional else "",
@@ -113,7 +117,7 @@ def material_page(
         choice=choice_words(known),
         patch=colour(appearance["srgb"].values) if appearance is not None and "srgb" in appearance else None,
         viewing=viewing_conditions(appearance),
-        look=picture(known.get("preview")),
+        looks=looks(known.get("preview")),
         verdict=verdict,
         reasons=reasons,
         verdicts=verdicts(known, accepted),
@@ -125,7 +129,7 @@ def material_page(
         warnings=[
             (stage_title(known, stage), text, reason_to_accept(text, accepted)) for stage, text in stage_warnings(known)
         ],
-        sections=[section for section in sections if section],
+        sections=shown,
         prediction=[section for section in prediction if section],
         rig=rig_section.chapter(datasets),
         comparison=comparison.chapter(datasets.get("comparison")),

@@ -30,6 +30,11 @@ _MOST_DECADES = 9
 _NARROW = 0.03
 """Slope below which a lobe is only a spike in a cut from horizon to horizon."""
 
+_WHAT_TO_SEE = {
+    "BRDF": " The height of a peak over the level beside it is the gloss; the level is the diffuse light.",
+    "BTDF": " The wider a peak, the more the body blurs what is behind it.",
+}
+
 _ANGLE_LABEL = {"BRDF": "angle of view θₒ", "BTDF": "180° − θₒ"}
 
 
@@ -110,7 +115,7 @@ def _goniometric(bsdf: xr.Dataset, above: Sequence[_Cut], below: Sequence[_Cut])
         _lines(below),
         quantity,
     )
-    note = f"Plane of incidence, {bsdf_sections.wavelength_words(bsdf)}. Triangles mark the sources."
+    note = f"Plane of incidence, {bsdf_sections.wavelength_words(bsdf)}. Triangles mark the sources. The narrower a lobe, the glossier; the round part is diffuse. The data are those of the Cartesian chart."
     note += _unmeasured_note(bsdf, bsdf_sections.planes(bsdf)[0], above)
     return [Figure(f"{quantity}, goniometric", svg, legend(marks), note)]
 
@@ -144,7 +149,7 @@ def _cartesian(
             marks,
         )
         dotted = f" Dotted: {into_one[:1].lower()}{into_one[1:]}" if into_one else ""
-        note = f"{plane.title('Plane of incidence')}, {bsdf_sections.wavelength_words(bsdf)}.{dotted}{inside}"
+        note = f"{plane.title('Plane of incidence')}, {bsdf_sections.wavelength_words(bsdf)}.{dotted}{inside}{_WHAT_TO_SEE[quantity]}"
         note += _unmeasured_note(bsdf, plane, cuts, through=not reflected)
         figures.append(Figure(title, svg, legend(curves), note))
     return figures

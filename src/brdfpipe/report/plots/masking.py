@@ -17,6 +17,9 @@ from brdfpipe.report.plots.svg import Array, Axis, Figure, Line, Mark, Points, c
 _CAST = f"rays cast over the heights, {EXPANDED_UNCERTAINTY}"
 
 
+_SEE = "Where it falls below 1, neighbours hide facets, and the lobe loses light."
+
+
 def smith_masking(facets: xr.Dataset) -> Figure:
     """Smith's G1 of an isotropic facet distribution, beside a Beckmann and a GGX."""
     theta, lambda_smith = facets["theta"].values.astype(float), facets["lambda_smith"].values.astype(float)
@@ -26,7 +29,7 @@ def smith_masking(facets: xr.Dataset) -> Figure:
         Line(fine, 1 / (1 + beckmann_lambda(fine, beckmann.widths[0])), "ref", equivalent_label(beckmann), "dash"),
         Line(fine, 1 / (1 + ggx_lambda(fine, ggx.widths[0])), "ref", equivalent_label(ggx), "dots"),
     ]
-    return _figure("Masking G₁(θ)", "G₁, visible share of the facets", marks, "1 / (1 + Λ), Smith.")
+    return _figure("Masking G₁(θ)", "G₁, visible share of the facets", marks, f"1 / (1 + Λ), Smith. {_SEE}")
 
 
 def smith_masking_with_lay(facets: xr.Dataset, lay: float) -> Figure:
@@ -37,7 +40,7 @@ def smith_masking_with_lay(facets: xr.Dataset, lay: float) -> Figure:
         _g1_line(theta, smith.excess(mu, lay + turn + opposite).mean(axis=0) / mu, style, f"{name} the lay")
         for turn, style, name in ((0, "c0", "along"), (90, "c2", "across"))
     ]
-    note = "1 / (1 + Λ), Smith; Λ is the mean of the two opposite directions."
+    note = "1 / (1 + Λ), Smith; Λ is the mean of the two opposite directions. " + _SEE
     return _figure("Masking G₁(θ)", "G₁, visible share of the facets", marks, note)
 
 

@@ -41,26 +41,28 @@ def framed(
 ) -> tuple[Markup, bool]:
     """An image in its axes (label, low, high) with a colour bar, and whether x and y have the same scale.
 
-    They do, unless the image would be narrower than 120 figure units.
+    They do, unless the image would be narrower than 24 figure units.
     """
     extent_x, extent_y = x[2] - x[1], y[2] - y[1]
     top, room_x, room_y = 28.0, 370.0, 400.0
     scale = min(room_x / extent_x, room_y / extent_y)
-    wide, tall = max(extent_x * scale, 120.0), max(extent_y * scale, 120.0)
+    wide, tall = max(extent_x * scale, 24.0), max(extent_y * scale, 24.0)
     left = 54 + (room_x - wide) / 2
-    height = top + tall + 46
+    # The colour bar needs room for its labels.
+    bar = max(tall, 110.0)
+    height = top + max(tall + 46, bar + 8)
     parts = [image(uri, left, top, wide, tall), f'<path class="a" d="M{left:g} {top:g}v{tall:.1f}h{wide:.1f}"/>']
     for position, name in linear_ticks(x[1], x[2], count=max(2, round(5 * wide / room_x))):
         at = left + wide * (position - x[1]) / extent_x
         parts.append(f'<path class="a" d="M{at:.1f} {top + tall:.1f}v4"/>')
         parts.append(text(at, top + tall + 17, name, "middle"))
-    for position, name in linear_ticks(y[1], y[2], count=5 if tall > 200 else 4):
+    for position, name in linear_ticks(y[1], y[2], count=5 if tall > 200 else max(1, round(tall / 30))):
         at = top + tall * (y[2] - position) / extent_y
         parts.append(f'<path class="a" d="M{left:g} {at:.1f}h-4"/>')
         parts.append(text(left - 7, at + 4, name, "end"))
-    parts.append(text(left + wide / 2, height - 8, x[0], "middle", "t"))
+    parts.append(text(left + wide / 2, top + tall + 38, x[0], "middle", "t"))
     parts.append(text(left - 50, 15, y[0], "start", "t"))
-    parts += colour_bar(left + wide + 18, top, tall, unit, ticks, levels)
+    parts += colour_bar(left + wide + 18, top, bar, unit, ticks, levels)
     return frame(description, height, parts), bool(np.isclose(wide / extent_x, tall / extent_y, rtol=1e-6))
 
 

@@ -74,7 +74,8 @@ def _reflectance_figure(marks: Sequence[Line], note: str, drawn: Sequence[Line])
         Axis("directional reflectance", 0.0, top),
         drawn,
     )
-    return Figure("Directional reflectance", svg, legend(drawn), f"{note} {_excess_words(marks)}".strip())
+    see = "A rise towards 90° is light that the smooth parts of the surface mirror at grazing incidence."
+    return Figure("Directional reflectance", svg, legend(drawn), f"{note} {see} {_excess_words(marks)}".strip())
 
 
 def _excess_words(lines: Sequence[Line]) -> str:

@@ -104,7 +104,8 @@ def facet_distribution(facets: xr.Dataset) -> Figure:
         Axis("D, sr⁻¹", 0.0, highest * 1.06),
         marks,
     )
-    return Figure("Facet distribution D(α)", svg, legend(marks))
+    note = "The wider the distribution, the wider the lobe; a measured curve beyond Beckmann at large tilts scatters more haze."
+    return Figure("Facet distribution D(α)", svg, legend(marks), note)
 
 
 def equivalent_label(density: EquivalentDensity) -> str:

@@ -41,7 +41,8 @@ def spectrum_figure(spectral: xr.Dataset, bsdf: xr.Dataset | None = None) -> Fig
         marks,
         strip=visible_strip(low, high),
     )
-    return Figure("Spectrum", svg, legend(marks), _measurement_note(spectral, total is not None))
+    body = "" if specular is None else " The light between both curves comes from the body: its shape is the colour."
+    return Figure("Spectrum", svg, legend(marks), _measurement_note(spectral, total is not None) + body)
 
 
 def visible_strip(low: float, high: float) -> str:

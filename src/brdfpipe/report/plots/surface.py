@@ -30,7 +30,7 @@ def height_map(surface: xr.Dataset) -> Figure:
         [((value - low) / (high - low), name) for value, name in linear_ticks(low, high, count=5)],
     )
     key = (("missing", "", f"missing heights ({100 * missing:.2g} %)"),) if missing else ()
-    note = f"{values.shape[1]} × {values.shape[0]} heights; the colours span the central 99 %."
+    note = f"{values.shape[1]} × {values.shape[0]} heights; the colours span the central 99 %. Form, dust and scratches here are in the prediction, too."
     return Figure("Height, levelled", svg, key, note if to_scale else f"{note} x and y are not to the same scale.")
 
 
@@ -45,6 +45,7 @@ def height_profile(surface: xr.Dataset) -> Figure:
     svg = chart("Levelled line profile, height against position", axis_x, axis_y, [line], height=240)
     missing = float(np.mean(np.isnan(height)))
     note = f"{height.size} heights" + (f", {100 * missing:.2g} % missing." if missing else ".")
+    note += " Form, dust and scratches here are in the prediction, too."
     return Figure("Height, levelled", svg, note=note)
 
 

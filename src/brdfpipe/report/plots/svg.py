@@ -16,6 +16,8 @@ import numpy as np
 from markupsafe import Markup, escape
 from numpy.typing import ArrayLike, NDArray
 
+from brdfpipe.report.plots.figure_data import metadata
+
 Array = NDArray[np.float64]
 
 Pattern = Literal["line", "dash", "dots"]
@@ -99,6 +101,9 @@ class Band:
 
 Mark = Line | Points | Band
 
+_LABEL_WIDTH = 44
+"""Width of the longest power of ten, on a narrow page, in figure units."""
+
 
 @dataclass(frozen=True)
 class Figure:
@@ -145,7 +150,7 @@ def chart(description: str, x: Axis, y: Axis, marks: Sequence[Mark], *, height: 
     parts += [text(column, top + tall + (27 if strip else 17), name, "middle") for column, name in x_ticks]
     parts.append(text(left + width / 2, height - 8, x.label, "middle", "t"))
     parts.append(text(4, 15, y.label, "start", "t"))
-    return frame(description, height, parts)
+    return frame(description, height, [*parts, metadata(x.label, y.label, marks)])
 
 
 def _mark(mark: Mark, x: Axis, y: Axis, width: float, tall: float) -> str:
@@ -220,7 +225,8 @@ def polar(
     parts += [curve(mark, -1) for mark in below]
     parts.append(f'<path class="a" d="M{centre_x - radius:g} {centre_y:g}h{2 * radius:g}"/>')
     skip = max(1, round((high - low) / 4))
-    for exponent in [*range(high - skip if below else high, low, -skip), low]:
+    labelled = [e for e in range(high - skip if below else high, low, -skip) if rings[e] > _LABEL_WIDTH]
+    for exponent in [*labelled, low]:
         label_style = "h" if below else ""
         parts.append(text(centre_x + rings[exponent], centre_y + 16, power_of_ten(exponent), "middle", label_style))
     if below:
@@ -257,7 +263,7 @@ def rose(description: str, label: str, azimuth: ArrayLike, value: ArrayLike, axi
         label_x, label_y = place(axis + 15, scale * ring)
         parts.append(text(float(label_x), float(label_y) + 4, name, "middle", "h"))
     parts.append(text(4, 15, label, "start", "t"))
-    return frame(description, height, parts)
+    return frame(description, height, [*parts, metadata("azimuth, degree", label, [Line(azimuth, value)])])
 
 
 def frame(description: str, height: float, parts: Sequence[str]) -> Markup:
@@ -295,7 +301,7 @@ def png(pixels: NDArray[np.uint8], palette: NDArray[np.uint8] | None = None, *, 
     return data_uri(picture, "png", **transparency)
 
 
-def data_uri(picture: Any, format: Literal["png", "webp"], **options: Any) -> str:
+def data_uri(picture: Any, format: Literal["png", "webp", "jpeg"], **options: Any) -> str:
     """Data URI of a PIL image."""
     stream = BytesIO()
     picture.save(stream, format.upper(), **options)

@@ -9,7 +9,7 @@ import statistics
 import textwrap
 import time
 import timeit
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import closing, suppress
 from dataclasses import dataclass, field
 from functools import partial
@@ -108,6 +108,7 @@ def _examine_monochromator(rig: Rig, table: _Table) -> None:
     with closing(table.check(name, "port", lambda: open_monochromator(rig.monochromator), lambda _: port)) as device:
         table.check(name, "identity", device.identify)
         start = table.check(name, "wavelength", device.wavelength, _nanometres)
+        table.check(name, "settings", device.describe, _settings)
         table.check(name, "query", lambda: _median_time(device.wavelength))
         for wavelength in (*rig.wavelengths, start):
             table.check(name, f"to {wavelength:g} nm", partial(device.goto, wavelength), _nanometres)
@@ -118,6 +119,7 @@ def _examine_wheel(rig: Rig, table: _Table) -> None:
     with closing(table.check(name, "port", lambda: open_wheel(rig.wheel), lambda _: port)) as device:
         table.check(name, "identity", device.identify)
         start = table.check(name, "position", device.position)
+        table.check(name, "settings", device.describe, _settings)
         table.check(name, "query", lambda: _median_time(device.position))
         for position in (*range(1, rig.wheel.positions + 1), start):
             table.check(name, f"to {position}", partial(device.goto, position))
@@ -146,6 +148,10 @@ def _dark_frame(rig: Rig, camera: Camera) -> str:
         advice = "close the shutter, or cover the screen: light reaches the sensor"
         raise DeviceError("camera", f"dark frame with a median of {median:g} counts", advice=advice)
     return f"{rig.camera.width} × {rig.camera.height} pixels, median {median:g} counts, maximum {counts.max()}"
+
+
+def _settings(settings: Mapping[str, str]) -> str:
+    return ", ".join(f"{name} {value}" for name, value in settings.items()) or "none that the device reports"
 
 
 def _nanometres(wavelength: float) -> str:

@@ -115,3 +115,14 @@ def rejected_digests(events: Iterable[dict[str, Any]]) -> set[str]:
             named = {digest for digest in digests if isinstance(digest, str)}
             rejected = rejected | named if event["event"] == "rejected" else rejected - named
     return rejected
+
+
+def left_out(events: Iterable[dict[str, Any]]) -> set[int]:
+    """Ordinals of frames that a scan found not to be needed, and that no later event has. Entries of other types are ignored."""
+    ordinals: set[int] = set()
+    for event in events:
+        if event["event"] == "left out" and isinstance(event.get("shots"), list):
+            ordinals |= {ordinal for ordinal in event["shots"] if isinstance(ordinal, int)}
+        elif event["event"] in ("frame", "adopted") and isinstance(event.get("shot"), int):
+            ordinals.discard(event["shot"])
+    return ordinals

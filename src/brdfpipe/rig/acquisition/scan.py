@@ -13,6 +13,7 @@ import shutil
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
+from functools import partial
 from importlib.metadata import version
 from operator import attrgetter
 from pathlib import Path
@@ -28,6 +29,7 @@ from brdfpipe.rig.acquisition import run_folder
 from brdfpipe.rig.acquisition.devices.connection import RigDevices
 from brdfpipe.rig.acquisition.devices.errors import DeviceError, DeviceLost, WrongDevice
 from brdfpipe.rig.acquisition.estimate import durations
+from brdfpipe.rig.acquisition.frame_choice import FrameChoice
 from brdfpipe.rig.checks.frame_judge import Finding, FrameJudge
 from brdfpipe.rig.filter_location import check_overlaps
 from brdfpipe.rig.frame_file import WAVELENGTH_TOLERANCE, DeviceState, Frame, FrameError, frame_size, write_frame
@@ -69,9 +71,11 @@ class Summary:
 
     folder: Path
     frames: int
-    """Frames of the plan, all in the folder."""
+    """Frames in the folder: all of the plan but those left out."""
     taken: int
     """Frames taken by this scan."""
+    left_out: int
+    """Frames of the plan that were not needed."""
     retries: int
     """Exposures that were discarded and repeated."""
     warnings: tuple[str, ...]
@@ -79,7 +83,8 @@ class Summary:
     @property
     def text(self) -> str:
         repeated = f", {self.retries} exposure{'s' * (self.retries > 1)} repeated" if self.retries else ""
-        return f"{self.frames} frames in {self.folder}, {self.taken} of them taken now{repeated}"
+        spared = f", {self.left_out} of the plan not needed" if self.left_out else ""
+        return f"{self.frames} frames in {self.folder}, {self.taken} of them taken now{repeated}{spared}"
 
 
 def scan(
@@ -144,6 +149,8 @@ class _Scan:
     _run_start: float | None = None
     _finished: set[Shot] = field(default_factory=set)
     _lamp_readings: list[LampReading] = field(default_factory=list)
+    _first_settings: Any = None
+    """Settings of the devices at the start of the run, as its journal has them."""
     _filters_checked: bool = False
     """Whether a bracket with overlapping frames has been checked for the location of the filters."""
     _mean_darks: dict[float, Array] = field(default_factory=dict)
@@ -151,23 +158,30 @@ class _Scan:
     _retries: int = 0
     _judge: FrameJudge | None = None
     """None where frames are accepted unchecked."""
+    _choice: FrameChoice | None = None
+    """None where all frames of a bracket are taken."""
+    _left_out: set[Shot] = field(default_factory=set)
     _digests: dict[Shot, str] = field(default_factory=dict)
     _warned: set[tuple[str, Arrangement]] = field(default_factory=set)
 
     def __post_init__(self) -> None:
         if self.plan.bad_frames != "accept":
             self._judge = FrameJudge(self.plan.rig)
+        if self.plan.exposures == "needed":
+            self._choice = FrameChoice(self.plan)
 
     def run(self, progress: bool) -> Summary:
         """Take the missing frames."""
         self._find_finished()
-        missing = [shot for shot in self.plan.shots if shot not in self._finished]
+        before = len(self._finished)
+        missing = [shot for shot in self.plan.shots if shot not in self._finished and shot not in self._left_out]
         self._check_disk(len(missing))
         if missing:
             self._record_start(len(missing))
             self._take_all(missing, progress)
             self.journal.append("finished", frames=len(self._finished))
-        return Summary(self.folder, len(self.plan.shots), len(missing), self._retries, tuple(self._warnings))
+        count = len(self._finished)
+        return Summary(self.folder, count, count - before, len(self._left_out), self._retries, tuple(self._warnings))
 
     # --- existing frames
 
@@ -176,6 +190,7 @@ class _Scan:
         events = journals.read(self.folder / JOURNAL)
         digests, rejected = journals.recorded_digests(events), journals.rejected_digests(events)
         self._filters_checked = any(event["event"] == "overlap" for event in events)
+        self._first_settings = next((event.get("settings") for event in events if event["event"] == "begun"), None)
         taken_again = rejected if self.plan.bad_frames in ("retake", "stop") else set()
         for shot, result in read_shots(self.folder, self.plan, self.plan.shots):
             if isinstance(result, Frame) and result.digest in taken_again:
@@ -188,6 +203,11 @@ class _Scan:
                 problem = str(result) if isinstance(result, FrameError) else f"{shot.name}: changed since it was taken"
                 self.journal.append("damaged", shot=shot.ordinal, problem=problem)
                 self._warn(f"{problem}; the frame is taken again")
+        if self._choice is not None:
+            ordinals = journals.left_out(events)
+            self._left_out = {
+                shot for shot in self.plan.shots if shot.ordinal in ordinals and shot not in self._finished
+            }
         accepted = [shot for shot, digest in self._digests.items() if digest in rejected]
         if accepted:
             # Readers of the run use them from now on.
@@ -205,6 +225,8 @@ class _Scan:
     def _record_start(self, missing: int) -> None:
         plan, devices = self.plan, self.devices
         self._camera = devices.camera.identify()
+        names = {"monochromator": devices.monochromator.identify(), "wheel": devices.wheel.identify()}
+        settings = {**devices.monochromator.describe(), **devices.wheel.describe()}
         self.journal.append(
             "begun",
             frames=len(plan.shots),
@@ -214,16 +236,29 @@ class _Scan:
             rig_digest=plan.rig.digest,
             operator=self.operator,
             software=version("brdfpipe"),
-            monochromator=devices.monochromator.identify(),
-            wheel=devices.wheel.identify(),
             camera=self._camera,
+            settings=settings,
+            **names,
         )
+        if isinstance(self._first_settings, dict):
+            self._compare_settings(self._first_settings, settings)
+
+    def _compare_settings(self, before: dict[str, Any], now: dict[str, str]) -> None:
+        """Warn of settings of the devices that differ from those at the start of the run."""
+        changed = [name for name in sorted({*before, *now}) if before.get(name) != now.get(name)]
+        if changed:
+            text = ", ".join(
+                f"{name} {now.get(name, 'unknown')}, was {before.get(name, 'unknown')}" for name in changed
+            )
+            advice = "slits and mirrors decide which light passes: set them back, or begin a new run"
+            self._warn(f"the devices are set otherwise than at the start of the run ({text}); {advice}")
 
     # --- exposures
 
     def _take_all(self, missing: list[Shot], progress: bool) -> None:
         with _progress_bar(self.plan, missing, progress) as advance:
-            for shot in missing:
+            choice, leave_out = self._choice, partial(self._leave_out, advance=advance)
+            for shot in missing if choice is None else choice.order(missing, leave_out):
                 try:
                     self._arrange(shot, advance)
                     self._take(shot)
@@ -237,6 +272,13 @@ class _Scan:
                     advice = "Correct the problem and repeat the command with --resume"
                     raise ScanStopped(f"{stop}; {safe}. {advice}") from error
                 advance(shot)
+
+    def _leave_out(self, shots: list[Shot], advance: Callable[[Shot | None], None]) -> None:
+        """Record frames that are not needed."""
+        self._left_out |= {*shots}
+        self.journal.append("left out", shots=[shot.ordinal for shot in shots])
+        for shot in shots:
+            advance(shot)
 
     def _arrange(self, shot: Shot, advance: Callable[[Shot | None], None]) -> None:
         if shot.arrangement == self._arrangement:
@@ -256,7 +298,8 @@ class _Scan:
             "target": f"mirrors set to the {arrangement.incidence:g} degree entrance",
         }[arrangement.load]
         number = f"arrangement {arrangements.index(arrangement) + 1} of {len(arrangements)} (frame {shot.ordinal})"
-        return f"{number}: {self.plan.sample_id(arrangement)} in the holder, {position}"
+        again = " again" if arrangement.again else ""
+        return f"{number}: {self.plan.sample_id(arrangement)}{again} in the holder, {position}"
 
     def _take(self, shot: Shot) -> None:
         raw, state = self._expose(shot)
@@ -324,7 +367,8 @@ class _Scan:
         """Judge a frame before it is stored. Raises BadFrame or BadArrangement, as the plan's ``bad_frames`` asks."""
         if self._judge is None:
             return
-        last = shot.step == len(self.plan.bracket)
+        last_step = len(self.plan.bracket) if self._choice is None else self._choice.last_step(shot)
+        last = bool(shot.step) and shot.step == last_step
         for finding in self._judge.judge(shot, raw.counts, wavelength_read=state.wavelength, last_of_bracket=last):
             if finding.severity == "warning" or self.plan.bad_frames == "warn":
                 self._note(shot, finding)
@@ -357,6 +401,8 @@ class _Scan:
         self._digests[shot] = frame.digest
         if self._judge is not None:
             self._judge.learn(shot, frame.counts)
+        if self._choice is not None and shot.step:
+            self._choice.learn(shot, frame.counts, self._mean_dark(shot.exposure))
         if self._run_start is None:
             self._run_start = frame.run_start
         self._finished.add(shot)

@@ -6,7 +6,7 @@ Every rule compares a frame with its description, with its dark frames, or with 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -17,7 +17,7 @@ from brdfpipe.geometry import Array
 from brdfpipe.rig import screen as screens
 from brdfpipe.rig.checks.frame_summary import FrameSummary, block_directions
 from brdfpipe.rig.description import Rig
-from brdfpipe.rig.plan import Arrangement, Shot
+from brdfpipe.rig.plan import ETALON_AFTER, Arrangement, Shot
 from brdfpipe.rig.raw_frame import Counts
 from brdfpipe.rig.reduction import cosmic_hits
 from brdfpipe.rig.reduction.arrangements import ENTRANCE_EXCLUSION_RADIUS
@@ -55,7 +55,7 @@ _FLICKER = 0.006  # relative standard deviation of the lamp from frame to frame
 _FIRST_CHANGE = (
     1.0  # largest change of the logarithm of the lamp as a whole between two frames: a cold lamp doubles its light
 )
-_COMPARED = ("etalon", "sample")
+_COMPARED = ("etalon", ETALON_AFTER, "sample")
 """Purposes of the frames whose reference light is compared closely between arrangements. Target and monitor readings are of few wavelengths
 and far from the brackets in time: a lamp that warms between them would look like another wavelength. So they show coarse errors alone."""
 
@@ -236,7 +236,7 @@ class FrameJudge:
             yield from self._etalon(shot, summary, last_of_bracket)
         if shot.purpose == "target":
             yield from self._target(shot, summary, last_of_bracket)
-        if shot.purpose in ("target", "etalon", "sample", "drift"):
+        if not shot.dark:
             yield from self._alike(shot, summary)
 
     def _light_missing(self, shot: Shot, summary: FrameSummary, last_of_bracket: bool) -> Iterator[Finding]:
@@ -344,7 +344,7 @@ class FrameJudge:
     def _etalon(self, shot: Shot, summary: FrameSummary, last_of_bracket: bool) -> Iterator[Finding]:
         """Whether what lies as etalon lights the fibres and the disc as a diffuse standard does."""
         yield from self._etalon_disc(shot, summary)
-        if shot.purpose != "etalon":
+        if shot.purpose not in ("etalon", ETALON_AFTER):
             return
         found, expected = self._spots_found[shot.arrangement], int(self._seen_fibres(shot).sum())
         if last_of_bracket and expected >= _FEWEST_FIBRES and len(found) < _ENOUGH_SPOTS * expected:
@@ -394,11 +394,11 @@ class FrameJudge:
 
     def _remember_spots(self, shot: Shot, summary: FrameSummary) -> None:
         """Add the fibres or target spots that a frame shows to those of its arrangement, which its frames show together."""
-        if shot.purpose not in ("etalon", "target") or summary.saturated > SATURATED:
+        if shot.purpose not in ("etalon", ETALON_AFTER, "target") or summary.saturated > SATURATED:
             return
         screen, target = self.rig.screen, self.rig.target
         found = self._spots_found.setdefault(shot.arrangement, set())
-        if shot.purpose == "etalon":
+        if shot.arrangement.load == "etalon":
             fibres, seen = self.rig.fibres, self._seen_fibres(shot)
             if len(found) > _ENOUGH_SPOTS * seen.sum():
                 return
@@ -430,7 +430,9 @@ class FrameJudge:
         own = _Picture(shot, summary.blocks, summary.blocks_noise, light)
         for other in self._pictures.get(_settings(shot), ()):
             pair = frozenset((shot.arrangement, other.shot.arrangement))
-            if len(pair) < 2 or pair in self._distinct:
+            # An etalon that is measured again must look the same.
+            same = replace(shot.arrangement, again=False) == replace(other.shot.arrangement, again=False)
+            if same or pair in self._distinct:
                 continue
             verdict = _compare(own, other, self.rig)
             if verdict == "distinct":

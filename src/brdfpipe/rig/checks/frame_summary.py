@@ -24,6 +24,7 @@ WIDEST_SEARCH = 8.0
 
 _RING = 5.0  # pixels beyond the reference spot in which its background is taken
 _NOT_SHOWN = 25.0  # ratio of light to noise below which a spot is too faint to be located
+_CLEARLY_LESS = 0.8  # share of the light of a displaced spot that its described position may still show
 _CLEAR_OF_SPOT = 8.0  # distance from the reference spot within which blocks are not used [pixel]
 
 
@@ -181,7 +182,8 @@ def _reference(light: NDArray[np.float32], beyond: NDArray[np.bool_], variance: 
     offset: tuple[float, float] | None = None
     if not is_saturated:
         picture = light.astype(float)
-        for start in ((column, row), _brightest_place(window, radius, (left, top), (column, row))):
+        brightest = _brightest_place(window, radius, (left, top), rig)
+        for start in ((column, row), brightest):
             found = registration.centroids(picture, np.maximum(picture, 0) + variance, [start[0]], [start[1]], radius)
             at = float(found.column[0]), float(found.row[0])
             light_there, noise_there, _ = measured(at)
@@ -189,6 +191,12 @@ def _reference(light: NDArray[np.float32], beyond: NDArray[np.bool_], variance: 
                 offset = (at[0] - column, at[1] - row)
                 total, noise = light_there, noise_there
                 break
+        else:
+            # A spot moved to the edge of the picture has no surroundings of which a centroid could be taken.
+            light_there, noise_there, _ = measured(brightest)
+            moved = np.hypot(brightest[0] - column, brightest[1] - row) > registration.SEARCH
+            if moved and light_there > _NOT_SHOWN * noise_there and total < _CLEARLY_LESS * light_there:
+                offset = (brightest[0] - column, brightest[1] - row)
     distance = np.hypot(x - (column - left), y - (row - top))
     inside, ring = distance <= radius - 1, (distance > radius + 2) & (distance <= radius + _RING)
     plateau = float(np.median(window[inside]) - np.median(window[ring])) if inside.any() and ring.any() else 0.0
@@ -197,15 +205,22 @@ def _reference(light: NDArray[np.float32], beyond: NDArray[np.bool_], variance: 
 
 
 def _brightest_place(
-    window: NDArray[np.float32], radius: float, corner: tuple[int, int], expected: tuple[float, float]
+    window: NDArray[np.float32], radius: float, corner: tuple[int, int], rig: Rig
 ) -> tuple[float, float]:
-    """The pixel (column, row) near the expected one about which a disc of a radius has most light."""
+    """The pixel (column, row) near the described reference spot, and clear of fibres, about which a disc of a radius has most light."""
     reach = int(np.ceil(radius))
     y, x = np.mgrid[-reach : reach + 1, -reach : reach + 1]
     disc = np.hypot(x, y) <= radius
     views = np.lib.stride_tricks.sliding_window_view(window, disc.shape)
     total = np.tensordot(views, disc, axes=((2, 3), (0, 1)))
     rows, columns = np.indices(total.shape)
-    far = np.hypot(columns + reach + corner[0] - expected[0], rows + reach + corner[1] - expected[1]) > WIDEST_SEARCH
-    best = np.unravel_index(int(np.where(far, -np.inf, total).argmax()), total.shape)
-    return float(best[1] + reach + corner[0]), float(best[0] + reach + corner[1])
+    columns, rows = columns + reach + corner[0], rows + reach + corner[1]
+    described = screens.to_pixel(rig.screen, *rig.screen.reference_centre)
+    unlikely = np.hypot(columns - described[0], rows - described[1]) > WIDEST_SEARCH
+    clear = radius + rig.screen.fibre_radius * rig.screen.scale + 1
+    for fibre in rig.fibres:
+        column, row = (float(at) for at in screens.to_pixel(rig.screen, fibre.x, fibre.y))
+        if np.hypot(column - described[0], row - described[1]) < WIDEST_SEARCH + clear:
+            unlikely |= np.hypot(columns - column, rows - row) < clear
+    best = np.unravel_index(int(np.where(unlikely, -np.inf, total).argmax()), total.shape)
+    return float(np.asarray(columns)[best]), float(np.asarray(rows)[best])

@@ -9,7 +9,7 @@ import xarray as xr
 
 from brdfpipe.rig.checks.frame_judge import Finding, FrameJudge
 from brdfpipe.rig.description import Rig
-from brdfpipe.rig.plan import Arrangement, Shot
+from brdfpipe.rig.plan import ETALON_AFTER, Arrangement, Shot
 
 
 def run_findings(frames: xr.Dataset, rig: Rig) -> list[tuple[Shot, Finding]]:
@@ -37,7 +37,8 @@ def _shots(frames: xr.Dataset) -> Iterator[Shot]:
     for ordinal, purpose, load, side, incidence, wavelength, position, exposure in zip(
         *(frames[name].values.tolist() for name in names), strict=True
     ):
-        yield Shot(ordinal, purpose, Arrangement(load, side, incidence), wavelength, position, exposure)
+        arrangement = Arrangement(load, side, incidence, again=purpose == ETALON_AFTER)
+        yield Shot(ordinal, purpose, arrangement, wavelength, position, exposure)
 
 
 def _key(shot: Shot) -> tuple[str, Arrangement, float]:

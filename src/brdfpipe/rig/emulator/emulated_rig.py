@@ -13,9 +13,9 @@ from brdfpipe.geometry import Array
 from brdfpipe.rig.acquisition.devices.camera import check_exposure
 from brdfpipe.rig.description import Rig
 from brdfpipe.rig.emulator.clock import VirtualClock
+from brdfpipe.rig.emulator.dialects import emulated_devices
 from brdfpipe.rig.emulator.effects import Effects, EmulationError, random_stream
 from brdfpipe.rig.emulator.faults import Faults
-from brdfpipe.rig.emulator.instruments import GRATINGS, SERIAL_NUMBER, ActonWheel, Monochromator, ThorlabsWheel
 from brdfpipe.rig.emulator.optics import Optics
 from brdfpipe.rig.emulator.port import Port
 from brdfpipe.rig.emulator.sample_holder import Etalon, Setup, Truth, check_setup
@@ -46,6 +46,7 @@ class EmulatedRig:
     faults : of the serial lines; one plan for both
     etalon : as certified
     clock : default: starts at 0, when lamp and camera are switched on
+    dialect : of the controllers, one of :data:`brdfpipe.rig.emulator.dialects.DIALECTS`
     """
 
     def __init__(
@@ -59,14 +60,14 @@ class EmulatedRig:
         faults: Faults | None = None,
         etalon: Etalon | None = None,
         clock: VirtualClock | None = None,
+        dialect: str = "usual",
     ) -> None:
         if seed < 0 or session < 0:
             raise EmulationError(f"negative seed or session: {seed}, {session}; accepted: 0 or more")
         effects = effects or Effects()
         self.rig = replace(rig, camera=replace(rig.camera, kind="emulated"))
         self.clock = clock or VirtualClock()
-        self.monochromator = _monochromator(rig, self.clock)
-        self.wheel = _wheel(rig, self.clock)
+        self.monochromator, self.wheel = emulated_devices(rig, self.clock, dialect)
         self.optics = Optics(rig, truth, effects, seed=seed, session=session, etalon=etalon or Etalon())
         self.setup = Setup(rig.entrances[0])
         self.camera = EmulatedCamera(self, Sensor(rig.camera, effects, seed), seed, session)
@@ -103,7 +104,9 @@ class EmulatedRig:
     def __enter__(self) -> Self:
         with ExitStack() as opened:
             monochromator = opened.enter_context(Port(self.monochromator, self._faults, name="monochromator"))
-            wheel = opened.enter_context(Port(self.wheel, self._faults, name="wheel"))
+            wheel = monochromator
+            if not self.rig.shared_port:
+                wheel = opened.enter_context(Port(self.wheel, self._faults, name="wheel"))
             self._opened = opened.pop_all()
         self.ports = monochromator, wheel
         settings = (replace(self.rig.monochromator, port=monochromator.path), replace(self.rig.wheel, port=wheel.path))
@@ -151,15 +154,3 @@ class EmulatedCamera:
         """Electrons per second, summed over the states of the devices: (wavelength, position) → light of the lamp."""
         optics, setup = self._rig.optics, self._rig.setup
         return np.sum([lamp * optics.rates(setup, *state) for state, lamp in states.items()], axis=0)
-
-
-def _monochromator(rig: Rig, clock: VirtualClock) -> Monochromator:
-    """Monochromator with the grating and serial number of the description."""
-    settings = rig.monochromator
-    gratings = {settings.grating: GRATINGS[1], **GRATINGS} if settings.grating else GRATINGS
-    return Monochromator(clock, gratings=gratings, serial_number=settings.serial_number or SERIAL_NUMBER)
-
-
-def _wheel(rig: Rig, clock: VirtualClock) -> ActonWheel | ThorlabsWheel:
-    kind = ThorlabsWheel if rig.wheel.dialect == "thorlabs" else ActonWheel
-    return kind(clock, positions=rig.wheel.positions)

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from brdfpipe import specular_directions, vocabulary
 from brdfpipe.geometry import Array, unit_vector
+from brdfpipe.rig.reduction import etalon_change
 from brdfpipe.rig.reduction.arrangements import CalibrationError, finite_median
 from brdfpipe.rig.reduction.certificate import Certificate
 from brdfpipe.rig.reduction.control_chart import chart_points
@@ -85,7 +86,8 @@ def calibrate(
     Returns
     -------
     Dataset of kind ``calibration``: ``cell_scale(wavelength, cell)``, BRDF times cosine of view over the signal, as through the first
-    entrance; ``path(incidence, wavelength)``, the light of each entrance over that of the first; ``hidden(incidence, cell)``; and a control
+    entrance; ``path(incidence, wavelength)``, the light of each entrance over that of the first; ``hidden(incidence, cell)``;
+    ``etalon_change(incidence, wavelength)``, the logarithm of the etalon's light after the sample over that before, if both were measured; and a control
     chart of one point, which :func:`brdfpipe.rig.reduction.control_chart.extend_chart` appends to an earlier chart.
 
     Raises
@@ -123,6 +125,7 @@ def calibrate(
             "path_u": (("incidence", "wavelength"), paths.light * paths.u),
             "hidden": (("incidence", "cell"), paths.hidden, {"units": "1", "long_name": "hidden from the entrance"}),
             "lamp": ("wavelength", lamp[np.isfinite(lamp)]),
+            **etalon_change.of_profile(etalon),
         },
         coords=etalon.coords,
         attrs={

@@ -19,7 +19,7 @@ from brdfpipe.rig.description import Rig
 from brdfpipe.rig.filter_location import check_overlaps
 from brdfpipe.rig.frames import NOT_MEASURED
 from brdfpipe.rig.plan import Shot
-from brdfpipe.rig.reduction import brackets, exposures, pictures
+from brdfpipe.rig.reduction import brackets, etalon_change, exposures, pictures
 from brdfpipe.rig.reduction.brackets import Bracket, DarkFrames, ReferenceSpot, Scale
 from brdfpipe.rig.reduction.cell_signals import cell_signals
 from brdfpipe.rig.reduction.exposures import Merged
@@ -87,7 +87,8 @@ def reduce(
     Dataset of kind ``reduced``: ``signal(incidence, wavelength, cell)`` and its components of uncertainty, ``reference(incidence,
     wavelength)`` [e⁻/s] and its mean time, ``elapsed``. A wavelength at which no frame shows the reference has no values; a warning names
     it. Monitor readings of the lamp through this entrance are in ``drift_reference(look)`` [e⁻/s], with ``drift_elapsed`` [s] and
-    ``drift_wavelength`` [nm].
+    ``drift_wavelength`` [nm]. An etalon that was measured before and after the sample is interpolated to the time of the sample, and its
+    change is in ``etalon_change(incidence, wavelength, cell)``.
 
     Raises
     ------
@@ -95,6 +96,12 @@ def reduce(
     ExposureError : there are no dark frames of an exposure time.
     """
     vocabulary.validate(frames, "frames")
+    if load == "etalon" and etalon_change.measured_twice(frames, incidence):
+        first, second = (
+            reduce(part, rig, load=load, side=side, incidence=incidence, target=target, override=override)
+            for part in etalon_change.before_and_after(frames)
+        )
+        return etalon_change.interpolated(first, second, frames)
     _check_same_rig(frames, rig)
     target = frames if target is None else target
     if rig.target is not None and target is not frames and (target["purpose"] == "target").any():

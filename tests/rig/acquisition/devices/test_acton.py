@@ -41,7 +41,7 @@ GREETING = (*WAKE, *NAMES, *NAMES)
 def finished(driver: Monochromator | FilterWheel, *exchanges: Exchange) -> Script:
     """The port of the driver continues with these exchanges."""
     script = Script(*exchanges)
-    port = driver.line._port
+    port = driver.line.connection.port
     assert isinstance(port, ScriptedPort)
     port.reply = script
     return script
@@ -79,8 +79,20 @@ def test_a_unit_of_lower_case_is_spoken_to_in_lower_case_alone() -> None:
 
 
 def test_a_unit_that_knows_no_command_is_refused_with_the_hint_about_case() -> None:
-    with pytest.raises(WrongDevice, match=r"'MODEL'.*MODEL \?.*case: upper"):
-        monochromator(lambda sent: sent.rstrip(b"\r") + b" ? \r\n").identify()
+    with pytest.raises(WrongDevice, match=r"'\?NM'.*\?NM \?.*case: upper"):
+        monochromator(lambda sent: sent.rstrip(b"\r") + b" ? \r\n", replace(SETTINGS, case="upper")).identify()
+
+
+def test_a_unit_that_knows_no_command_in_either_case_is_refused() -> None:
+    sent: list[bytes] = []
+
+    def refuse(command: bytes) -> bytes:
+        sent.append(command)
+        return command.rstrip(b"\r") + b" ? \r\n"
+
+    with pytest.raises(WrongDevice, match=r"unknown command; sent '\?NM'.*device of the description is connected"):
+        monochromator(refuse).identify()
+    assert {b"?NM\r", b"?nm\r"} <= set(sent)
 
 
 def test_an_old_unit_without_a_serial_number_is_named_by_its_model() -> None:

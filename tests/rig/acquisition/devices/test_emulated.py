@@ -12,9 +12,12 @@ import pytest
 from brdfpipe.rig.acquisition.devices import serial_line
 from brdfpipe.rig.acquisition.devices.connection import RigDevices, connect, open_monochromator, open_wheel
 from brdfpipe.rig.acquisition.devices.errors import DeviceError, DeviceLost, WrongDevice
+from brdfpipe.rig.acquisition.devices.serial_instrument import ANY_REPLY
 from brdfpipe.rig.acquisition.doctor import Row, doctor
 from brdfpipe.rig.description import Rig, SerialSettings
 from brdfpipe.rig.emulator.clock import VirtualClock
+from brdfpipe.rig.emulator.dialects import DIALECTS
+from brdfpipe.rig.emulator.emulated_rig import EmulatedRig
 from brdfpipe.rig.emulator.faults import KINDS, Faults
 from brdfpipe.rig.emulator.instruments import ActonWheel, Monochromator, ThorlabsWheel
 from brdfpipe.rig.emulator.port import Port
@@ -64,6 +67,93 @@ def test_a_monochromator_moves_at_a_speed_with_its_grating() -> None:
         assert device.goto(20) == pytest.approx(20)
         assert unit.grating == 2
         device.close()
+
+
+def rig_of(wheel_dialect: str, rig: Rig, *, shared: bool = False, **devices: Any) -> Rig:
+    """The description of a rig of quick devices with a wheel of a dialect, which may be on the monochromator's port."""
+    monochromator = replace(rig.monochromator, **QUICK, **devices)
+    port = monochromator.port if shared else rig.wheel.port
+    baud = 115200 if wheel_dialect == "thorlabs" else 9600
+    return replace(
+        rig, monochromator=monochromator, wheel=replace(rig.wheel, dialect=wheel_dialect, port=port, baud=baud, **QUICK)
+    )
+
+
+WHEELS_OF_RIGS = {"thorlabs": ("thorlabs", False), "acton": ("acton-wheel", False), "shared": ("acton-wheel", True)}
+
+
+def drive(rig: Rig, dialect: str, faults: Faults | None = None) -> str:
+    """Move the devices of an emulated rig in a dialect; the settings that they report, or the kind of a fault's error."""
+    with EmulatedRig(rig, None, dialect=dialect, faults=faults) as emulated:
+        try:
+            with connect(emulated.rig, camera=Dark(rig)) as devices:
+                for wavelength, position in ((546.1, 3), (700.0, 6), (390.0, 1)):
+                    assert devices.monochromator.goto(wavelength) == pytest.approx(
+                        emulated.monochromator.wavelength, abs=1e-3
+                    )
+                    assert abs(emulated.monochromator.wavelength - wavelength) <= 0.5
+                    assert devices.wheel.goto(position) == position == emulated.wheel.position
+                return str({**devices.monochromator.describe(), **devices.wheel.describe()})
+        except DeviceError as error:
+            return type(error).__name__ if error.advice else "no advice"
+
+
+@pytest.mark.parametrize("wheel", WHEELS_OF_RIGS)
+@pytest.mark.parametrize("dialect", DIALECTS)
+def test_the_controllers_of_every_dialect_are_driven(rig: Rig, dialect: str, wheel: str) -> None:
+    name, shared = WHEELS_OF_RIGS[wheel]
+    reported = drive(rig_of(name, rig, shared=shared), dialect)
+    assert "'grating': '1'" in reported
+    assert ("'turret': '1'" in reported) == (dialect != "old")
+    assert ("'exit mirror': 'front', 'side entrance slit': '480 um'" in reported) == (dialect != "old")
+    assert ("position sensors" in reported) == (dialect == "firmware-1.0" and name == "thorlabs")
+
+
+@pytest.mark.cases(8)
+@pytest.mark.parametrize("ordinal", [5, 19])
+@pytest.mark.parametrize("kind", ["silence", "garbage", "truncated", "clamp", "late-ok"])
+@pytest.mark.parametrize("dialect", [name for name in DIALECTS if name != "usual"])
+def test_a_fault_never_yields_a_wrong_state_in_any_dialect(rig: Rig, dialect: str, kind: str, ordinal: int) -> None:
+    wheel, shared = WHEELS_OF_RIGS["thorlabs" if dialect == "firmware-1.0" else "shared"]
+    result = drive(rig_of(wheel, rig, shared=shared), dialect, Faults.at({ordinal: kind}, seed=ordinal))
+    assert result.startswith("{") or result in ("DeviceError", "NoReply")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("dialect", ["no-echo", "bare-refusal", "usb-lower-case", "firmware-1.0"])
+def test_a_fault_at_every_command_never_yields_a_wrong_state_in_any_dialect(rig: Rig, dialect: str) -> None:
+    wheel, shared = WHEELS_OF_RIGS["thorlabs" if dialect == "firmware-1.0" else "shared"]
+    described = rig_of(wheel, rig, shared=shared)
+    count = Faults.at({})
+    drive(described, dialect, count)
+    kinds = ("silence", "garbage", "truncated", "clamp", "late-ok")
+    for number, ordinal in enumerate(range(1, count.commands + 1)):
+        for kind in (kinds[number % 5], kinds[(number + 2) % 5]):
+            result = drive(described, dialect, Faults.at({ordinal: kind}, seed=ordinal))
+            assert result.startswith("{") or result in ("DeviceError", "NoReply"), (kind, ordinal)
+
+
+def test_a_wheel_whose_count_another_program_changed_is_refused() -> None:
+    with Port(ThorlabsWheel(VirtualClock(), count=12)) as port:
+        device = open_wheel(thorlabs(port))
+        with pytest.raises(DeviceError, match=r"requested 6, device reports 12; .* send `pcount=6`"):
+            device.identify()
+        # As the advice says.
+        device.ask_once("pcount=6", ANY_REPLY)
+        assert device.identify().endswith("1.07")
+        device.close()
+
+
+def test_the_words_of_the_first_firmware_are_those_of_its_emulation() -> None:
+    """Each command needs a line before it; `pcount` and `sensors` are unknown; the prompt comes before the reply, too."""
+    unit = ThorlabsWheel(VirtualClock(), version="1.0")
+    assert unit.feed(b"pos?\r") == b"pos?\r\r> 1\r> "
+    assert b"CMD_NOT_DEFINED" in unit.feed(b"pos?\r")
+    assert b"CMD_NOT_DEFINED" in unit.feed(b">\r")
+    assert unit.feed(b"pos?\r") == b"pos?\r\r> 1\r> "
+    for command in (b"pcount?", b"sensors=0"):
+        unit.feed(b">\r")
+        assert b"CMD_NOT_DEFINED" in unit.feed(command + b"\r")
 
 
 @pytest.mark.parametrize("unit", [ActonWheel(VirtualClock()), ThorlabsWheel(VirtualClock())], ids=["Acton", "Thorlabs"])
@@ -273,7 +363,7 @@ def test_the_doctor_moves_every_device_and_back(
     assert all(row.passed for row in rows), table
     assert monochromator.wavelength == pytest.approx(500)
     assert wheel.position == 2
-    assert [row.check for row in rows if row.device == "filter wheel"][4:] == [f"to {k}" for k in (1, 2, 3, 4, 5, 6, 2)]
+    assert [row.check for row in rows if row.device == "filter wheel"][5:] == [f"to {k}" for k in (1, 2, 3, 4, 5, 6, 2)]
     assert "SP-2-300i 2330123" in table
     assert "ms per transaction" in table
     assert table.splitlines()[-1] == f"{len(rows)} passed, 0 failed"
@@ -291,7 +381,7 @@ def test_a_failed_device_does_not_prevent_the_checks_of_the_others(
     rows, table = examined(swapped, Broken(rig))
     failed = [(row.device, row.check) for row in rows if not row.passed]
     assert failed == [("monochromator", "port"), ("camera", "dark frame")]
-    assert sum(row.device == "filter wheel" for row in rows) == 11
+    assert sum(row.device == "filter wheel" for row in rows) == 12
     assert all(row.advice for row in rows if not row.passed)
     assert "→ connect the device" in table
     assert "\x1b" not in table
@@ -308,6 +398,13 @@ def test_the_doctor_detects_swapped_ports(plugged: tuple[Rig, Monochromator, Tho
     table = " ".join(row.result for row in rows)
     assert "a device of the Thorlabs dialect answers" in table
     assert "a device of the Acton dialect answers" in table
+
+
+def test_the_doctor_examines_a_wheel_on_the_monochromators_controller(rig: Rig) -> None:
+    with EmulatedRig(rig_of("acton-wheel", rig, shared=True), None, dialect="usb-lower-case") as emulated:
+        rows, table = examined(emulated.rig, Dark(rig))
+    assert all(row.passed for row in rows), table
+    assert {row.result for row in rows if row.check == "port"} == {emulated.rig.wheel.port}
 
 
 def test_a_dark_frame_that_sees_light_fails(plugged: tuple[Rig, Monochromator, ThorlabsWheel]) -> None:

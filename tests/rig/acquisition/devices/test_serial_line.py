@@ -82,9 +82,33 @@ def test_words_are_sent_in_the_case_of_the_description() -> None:
 
 
 def test_an_unknown_command_is_refused_with_the_hint_about_case() -> None:
-    error = refused(line_with((b"MODEL\r", b"MODEL ? \r\n")), "MODEL")
+    upper = SerialSettings("acton", "/dev/ttyUSB0", 9600, case="upper")
+    error = refused(line_with((b"MODEL\r", b"MODEL ? \r\n"), settings=upper), "MODEL")
     assert isinstance(error, Refused)
     assert "case: upper" in str(error)
+
+
+def test_a_question_mark_alone_refuses_a_word() -> None:
+    assert isinstance(refused(line_with((b"MODEL\r", b"MODEL?\r\n")), "MODEL"), Refused)
+
+
+def silent_line(*exchanges: Exchange) -> SerialLine:
+    """The line of a controller that echoes nothing."""
+    line = line_with(*exchanges)
+    line.connection.echoes = False
+    return line
+
+
+def test_without_an_echo_a_reply_counts_once_the_line_is_silent() -> None:
+    assert silent_line((b"?NM\r", b" 546.100 nm  ok\r\n")).transact("?NM", 1) == "546.100 nm"
+    assert isinstance(refused(silent_line((b"MODEL\r", b"?\r\n")), "MODEL"), Refused)
+    late = silent_line((b"?NM\r", [(0.0, b" ok\r\n"), (0.05, b" 546.100 nm  ok\r\n")]))
+    assert refused(late, "?NM").problem == "more than one reply"
+
+
+def test_without_an_echo_one_that_comes_after_all_makes_the_transaction_void() -> None:
+    line = silent_line((b"?NM\r", b"?NM 546.100 nm  ok\r\n"))
+    assert "an echo" in refused(line, "?NM").problem
 
 
 def test_an_error_of_a_thorlabs_wheel_is_refused() -> None:

@@ -14,8 +14,15 @@ import math
 import re
 from contextlib import suppress
 
-from brdfpipe.rig.acquisition.devices.errors import DeviceError, Refused
-from brdfpipe.rig.acquisition.devices.serial_instrument import ANY_REPLY, POSITION, SerialFilterWheel, SerialInstrument
+from brdfpipe.rig.acquisition.devices.errors import DeviceError, NoReply, Refused
+from brdfpipe.rig.acquisition.devices.serial_instrument import (
+    ANY_REPLY,
+    ATTEMPTS,
+    NAME,
+    POSITION,
+    SerialFilterWheel,
+    SerialInstrument,
+)
 from brdfpipe.rig.acquisition.devices.serial_line import Dialect
 
 TOLERANCE = 0.5
@@ -26,6 +33,7 @@ LONGEST_WAVELENGTH = 20000.0
 
 _WAVELENGTH = re.compile(r"(-?\d+(?:\.\d+)?) *(?:nm)?", re.IGNORECASE)
 _SPEED = re.compile(r"(\d+(?:\.\d+)?) *(?:nm/min)?", re.IGNORECASE)
+_SERIAL = re.compile(rf"(?:{NAME.pattern})?")
 _DONE = re.compile(r"[01]")
 # The grating in use is marked by an arrow, one byte of the display's character set.
 _GRATING_LINE = "[\x1a\xaf> ]*[1-9](?: [ -~]*)?"
@@ -33,8 +41,21 @@ _GRATING_LIST = re.compile(f"{_GRATING_LINE}(?:\r?\n{_GRATING_LINE})*")
 _INSTALLED_GRATING = re.compile("[\x1a\xaf> ]*([1-9]) +([^ ].*g/mm.*)", re.IGNORECASE)
 _POLL = 0.05
 
-# RS-232 ports of Acton devices echo by default, USB ports only after the command ECHO.
-_END, _REFUSAL, _WAKE = re.compile(rb"\s(?:ok|\? ?)\r\n"), re.compile(rb"\s\? ?\r\n"), ("", "ECHO")
+# RS-232 ports of Acton devices echo by default, USB ports only after the command ECHO. Some controllers refuse a word by the mark alone.
+_END, _REFUSAL, _WAKE = re.compile(rb"(?:^|\s)(?:ok|\? ?)\r\n"), re.compile(rb"(?:^|\s)\? ?\r\n"), ("", "ECHO")
+
+_SETTING = re.compile(r"(?s)(?:(?P<absent>no (?:motor|slit)).*|(?P<value>[!-~][ -~]*))")
+_SETTINGS = {
+    "grating": "?GRATING",
+    "turret": "?TURRET",
+    "entrance mirror": "ENT-MIRROR ?MIRROR",
+    "exit mirror": "EXIT-MIRROR ?MIRROR",
+    "front entrance slit": "FRONT-ENT-SLIT ?MICRONS",
+    "side entrance slit": "SIDE-ENT-SLIT ?MICRONS",
+    "front exit slit": "FRONT-EXIT-SLIT ?MICRONS",
+    "side exit slit": "SIDE-EXIT-SLIT ?MICRONS",
+}
+"""Settings by which a monochromator decides which light passes → query."""
 
 
 class Monochromator(SerialInstrument):
@@ -62,13 +83,30 @@ class Monochromator(SerialInstrument):
         """Wavelength [nm] that the monochromator reports."""
         return float(self.ask("?NM", _WAVELENGTH, self.settings.query_timeout)[1])
 
+    def describe(self) -> dict[str, str]:
+        """Grating and turret in use, positions of the mirrors, widths of the slits; those without a motor are left out."""
+        if not self._identity:
+            self.identify()
+        return {name: value for name, query in _SETTINGS.items() if (value := self._setting(query))}
+
+    def _setting(self, query: str) -> str:
+        """Reply to a query that not every model knows, empty if it does not."""
+        for _ in range(ATTEMPTS):
+            try:
+                return self.ask_once(query, _SETTING)["value"] or ""
+            except Refused:
+                return ""
+            except NoReply:
+                self._identify_once()
+        return "unreadable"
+
     def stop(self) -> None:
         """Stop a move at a set speed; moves at full speed cannot be stopped."""
         self.ask("MONO-STOP", ANY_REPLY, self.settings.query_timeout)
 
     def read_identity(self) -> tuple[str, str]:
-        """Model and serial number; old units state no serial number."""
-        model = self.ask_name("MODEL")
+        """Model and serial number, where the unit states them."""
+        model = _optional_name(self, "MODEL") or "monochromator"
         self.ask_once("?NM", _WAVELENGTH)  # refused by a filter wheel of the same family
         return model, _optional_name(self, "SERIAL")
 
@@ -153,9 +191,9 @@ class FilterWheel(SerialFilterWheel):
 
 
 def _optional_name(instrument: SerialInstrument, command: str) -> str:
-    """Text with which a device identifies itself, empty if it does not know the command."""
+    """Text with which a device identifies itself; empty if it does not know the command, or has no serial number."""
     with suppress(Refused):
-        return instrument.ask_name(command)
+        return instrument.ask_once(command, _SERIAL if command == "SERIAL" else NAME)[0].strip()
     return ""
 
 

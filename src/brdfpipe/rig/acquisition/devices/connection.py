@@ -49,7 +49,7 @@ def connect(rig: Rig, *, camera: Camera | None = None) -> Iterator[RigDevices]:
     """
     with closing(open_monochromator(rig.monochromator)) as monochromator:
         monochromator.identify()
-        with closing(open_wheel(rig.wheel)) as wheel:
+        with closing(open_wheel(rig.wheel, monochromator if rig.shared_port else None)) as wheel:
             wheel.identify()
             camera = camera or open_camera(rig.camera)
             camera.identify()
@@ -61,9 +61,9 @@ def open_monochromator(settings: SerialSettings) -> acton.Monochromator:
     return _open(MONOCHROMATORS, settings)
 
 
-def open_wheel(settings: SerialSettings) -> SerialFilterWheel:
-    """Driver of a filter wheel on its open port; nothing has been sent yet."""
-    return _open(WHEELS, settings)
+def open_wheel(settings: SerialSettings, controller: SerialInstrument | None = None) -> SerialFilterWheel:
+    """Driver of a filter wheel on its open port, or on that of the device whose controller turns it; nothing has been sent yet."""
+    return _open(WHEELS, settings, controller)
 
 
 def open_camera(settings: CameraSettings) -> Camera:
@@ -74,7 +74,10 @@ def open_camera(settings: CameraSettings) -> Camera:
     return CAMERAS[settings.kind](settings)
 
 
-def _open(drivers: Mapping[str, type[Driver]], settings: SerialSettings) -> Driver:
+def _open(
+    drivers: Mapping[str, type[Driver]], settings: SerialSettings, controller: SerialInstrument | None = None
+) -> Driver:
     driver = drivers[settings.dialect]
     dialects = [other.dialect for other in (*MONOCHROMATORS.values(), *WHEELS.values())]
-    return driver(SerialLine(settings, driver.dialect, other_dialects=dialects))
+    shared = None if controller is None else controller.line
+    return driver(SerialLine(settings, driver.dialect, sharing=shared, other_dialects=dialects))

@@ -72,6 +72,10 @@ class Refused(NoReply):
     """The device does not know the command: a different device, the wrong case, or a lost character."""
 
 
+class NoEcho(NoReply):
+    """A complete reply without the echo of the command: noise before it, or a controller that echoes nothing."""
+
+
 def single_line(text: str) -> str:
     """Untrusted text on one line, without control characters."""
     return ascii(" ".join(text.split()))[1:-1]

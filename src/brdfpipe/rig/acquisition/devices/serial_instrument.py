@@ -11,7 +11,7 @@ import re
 from abc import ABC, abstractmethod
 from typing import ClassVar
 
-from brdfpipe.rig.acquisition.devices.errors import DeviceError, NoReply, Refused, WrongDevice
+from brdfpipe.rig.acquisition.devices.errors import DeviceError, NoEcho, NoReply, Refused, WrongDevice
 from brdfpipe.rig.acquisition.devices.serial_line import Dialect, SerialLine
 
 ATTEMPTS = 3
@@ -22,7 +22,7 @@ ANY_REPLY = re.compile(r"(?s).*")
 
 POSITION = re.compile(r"\d{1,2}")
 
-_IDENTITY = re.compile(r"[!-~][ -~]*")
+NAME = re.compile(r"[!-~][ -~]*")
 _CHECK_PORT = "connect the device of the description to this port, or correct `port`, `dialect` or `serial_number`"
 
 
@@ -43,6 +43,10 @@ class SerialInstrument(ABC):
     @abstractmethod
     def configure(self) -> None:
         """Apply the settings of the description and verify them."""
+
+    def describe(self) -> dict[str, str]:
+        """Settings that the driver leaves as they are but that decide the light, by name, as far as the device knows them."""
+        return {}
 
     def identify(self) -> str:
         """Model and serial number, where the device states them. The device then has the settings of the description.
@@ -92,7 +96,8 @@ class SerialInstrument(ABC):
 
     def ask_once(self, command: str, reply: re.Pattern[str], timeout: float | None = None) -> re.Match[str]:
         """One transaction, verified against the expected form; used while the device is identified. Default: the query timeout."""
-        text = self.line.transact(command, self.settings.query_timeout if timeout is None else timeout)
+        timeout = self.settings.query_timeout if timeout is None else timeout
+        text = self.line.transact(command, timeout, empty=reply.fullmatch("") is not None)
         match = reply.fullmatch(text)
         if match is None:
             advice = "check the cable, and that the device of the description is connected"
@@ -101,7 +106,7 @@ class SerialInstrument(ABC):
 
     def ask_name(self, command: str) -> str:
         """Text with which the device identifies itself."""
-        return self.ask_once(command, _IDENTITY)[0].strip()
+        return self.ask_once(command, NAME)[0].strip()
 
     def close(self) -> None:
         """Close the port."""
@@ -115,7 +120,7 @@ class SerialInstrument(ABC):
     def _identify_once(self) -> str:
         """Reset the line, identify the device, and apply its settings, which a device that lost power has lost."""
         self.line.reset()
-        names = self.read_identity()
+        names = self.read_identity() if self._identity else self._first_identity()
         identity = " ".join(filter(None, names))
         if identity != self._identity and self.read_identity() != names:
             raise self.line.error(NoReply, "the identity changes between two queries", reply=identity)
@@ -128,6 +133,36 @@ class SerialInstrument(ABC):
         self.configure()
         self._identity = identity
         return identity
+
+    def _first_identity(self) -> tuple[str, str]:
+        """The identity of a device of which it is not known yet in which case it takes commands, and whether it echoes them."""
+        connection = self.line.connection
+        before = connection.lower, connection.echoes
+        failures: list[NoReply] = []
+        for echoes in (True, False):
+            for lower in self._cases():
+                connection.lower, connection.echoes = lower, echoes
+                try:
+                    if failures:  # a unit of the other case refused even the command that switches the echo on
+                        self.line.reset()
+                    return self.read_identity()
+                except NoEcho as error:
+                    failures.append(error)
+                    break
+                except NoReply as error:
+                    failures.append(error)
+                    if not isinstance(error, Refused):
+                        break
+            if not isinstance(failures[-1], NoEcho):
+                break
+        connection.lower, connection.echoes = before
+        raise failures[0] if isinstance(failures[-1], Refused) else failures[-1]
+
+    def _cases(self) -> tuple[bool, ...]:
+        """Whether commands are in lower case: the choices, the likelier first."""
+        automatic = self.settings.case == "auto" and not self.line.dialect.lower
+        lower = self.line.connection.lower
+        return (lower, not lower) if automatic else (lower,)
 
     def _final_error(self, *failures: NoReply) -> DeviceError:
         """Error after the last attempt: another device answers, or how the first attempt failed."""

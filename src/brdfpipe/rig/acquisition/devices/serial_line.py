@@ -3,6 +3,9 @@
 The echo synchronizes commands and replies. Bytes before it are noise, or the late reply to an earlier command that timed out. A reply is
 accepted only between the echo of its own command and the terminator, with nothing after it. The devices send no checksum: the echo, the
 strict form of each reply (:mod:`brdfpipe.rig.acquisition.devices.serial_instrument`) and the read-back after each move replace it.
+
+Some controllers echo nothing. There, a reply counts once the line is silent, and only if it is alone. A late reply cannot go unnoticed for
+long: a query is never answered in the form of a move, and no two queries of an identification have the same form.
 """
 
 from __future__ import annotations
@@ -16,7 +19,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, TypeVar
 
-from brdfpipe.rig.acquisition.devices.errors import DeviceError, DeviceLost, NoReply, Refused
+from brdfpipe.rig.acquisition.devices.errors import DeviceError, DeviceLost, NoEcho, NoReply, Refused
 from brdfpipe.rig.description import SerialSettings
 
 if TYPE_CHECKING:
@@ -48,7 +51,7 @@ class Dialect:
     """``monochromator`` or ``filter wheel``."""
     family: str
     end: re.Pattern[bytes]
-    """Terminator of a reply."""
+    """Terminator of a reply, searched after the echo."""
     refusal: re.Pattern[bytes]
     """Reply to an unknown command, terminator included. It must match no reply of another family: it identifies a device that is
     connected to the wrong port."""
@@ -56,6 +59,21 @@ class Dialect:
     """Commands that reset the line. The empty one terminates a partial command left by an earlier program or a lost character."""
     lower: bool = False
     """Whether commands are always lower case, regardless of ``case`` in the description."""
+    lead: re.Pattern[bytes] | None = None
+    """What may come between the echo and a reply that is not empty."""
+
+
+@dataclass
+class Connection:
+    """An open port, and how the controller behind it speaks; shared by the devices of one controller."""
+
+    port: Serial | None
+    """None once it is closed."""
+    lower: bool
+    """Whether commands are sent in lower case."""
+    echoes: bool = True
+    prelude: str | None = None
+    """Line that is sent, and its answer ignored, before each command."""
 
 
 class SerialLine:
@@ -66,6 +84,7 @@ class SerialLine:
     settings : port, speed, case
     dialect : of the device
     open_port : called like ``serial.Serial``, the default
+    sharing : line of another device of the same controller, whose port is used
     other_dialects : of devices that may be connected by mistake
     clock, sleep : seconds
     """
@@ -76,6 +95,7 @@ class SerialLine:
         dialect: Dialect,
         open_port: Callable[..., Serial] | None = None,
         *,
+        sharing: SerialLine | None = None,
         other_dialects: Sequence[Dialect] = (),
         clock: Callable[[], float] = time.monotonic,
         sleep: Callable[[float], None] = time.sleep,
@@ -85,12 +105,15 @@ class SerialLine:
         self.clock = clock
         self.sleep = sleep
         self._foreign = [other for other in other_dialects if other.family != dialect.family]
-        self._port: Serial | None = self._open(open_port)
+        if sharing is None:
+            self.connection = Connection(self._open(open_port), dialect.lower or settings.case == "lower")
+        else:
+            self.connection = sharing.connection
 
-    def transact(self, command: str, timeout: float) -> str:
+    def transact(self, command: str, timeout: float, *, empty: bool = True) -> str:
         """Send a command and return its reply within ``timeout`` seconds, without echo, terminator and surrounding blanks.
 
-        The command has no carriage return; it is sent in the case that the device requires.
+        The command has no carriage return; it is sent in the case that the device requires. ``empty``: whether the reply may be empty.
 
         Raises
         ------
@@ -99,27 +122,30 @@ class SerialLine:
         DeviceLost : the port was disconnected.
         """
         command = self._in_case(command)
+        if (prelude := self.connection.prelude) is not None:
+            self._write(prelude)
+            self._await_silence(prelude)
         self._write(command, discard_input=True)
-        echo = command.encode("latin-1")
         received = b""
-        deadline = self.clock() + timeout
+        last_byte = self.clock()
+        deadline = last_byte + timeout
         while True:
-            received += self._read(command)
-            start = received.find(echo)
-            ended = self.dialect.end.search(received, start + len(echo)) if start >= 0 else None
-            if ended:
+            if chunk := self._read(command):
+                received, last_byte = received + chunk, self.clock()
+            body = self._after_echo(command, received)
+            if body is not None and not empty and self.dialect.lead is not None:
+                body = self.dialect.lead.sub(b"", body, count=1)
+            ended = None if body is None else self.dialect.end.search(body)
+            # Without the order that an echo gives, a reply must be alone.
+            if ended and (self.connection.echoes or self.clock() - last_byte >= QUIET):
                 break
             # Replies of another dialect never end with this one's terminator.
-            foreign = start >= 0 and self.foreign_family(received[start:])
-            if foreign or self.clock() >= deadline or len(received) > LONGEST_REPLY:
+            foreign = body is not None and self.foreign_family(body)
+            late = self.clock() >= deadline and not ended
+            if foreign or late or len(received) > LONGEST_REPLY:
                 raise self._no_reply(command, received, timeout)
-        if received[ended.end() :]:
-            raise self.error(NoReply, "more than one reply", command, received)
-        if self.dialect.refusal.search(received, start + len(echo)):
-            case = "" if self.dialect.lower else f" and that `case: {self.settings.case}` is right"
-            advice = f"check that the device of the description is connected{case}"
-            raise self.error(Refused, "unknown command", command, received, advice)
-        return received[start + len(echo) : ended.start()].decode("latin-1").strip(" \r\n")
+        assert body is not None
+        return self._text(command, body, received)
 
     def reset(self) -> None:
         """Terminate partial commands, switch the echo on, and wait until the line is quiet.
@@ -128,14 +154,7 @@ class SerialLine:
         """
         for command in map(self._in_case, self.dialect.wake):
             self._write(command)
-            received = b""
-            start = last_byte = self.clock()
-            while self.clock() - last_byte < QUIET:
-                if chunk := self._read(command):
-                    received, last_byte = (received + chunk)[-LONGEST_REPLY:], self.clock()
-                if last_byte - start > LONGEST_NOISE:
-                    advice = f"check the baud rate ({self.settings.baud}) and which device is connected"
-                    raise self.error(NoReply, "the line does not become quiet", command, received, advice)
+            self._await_silence(command)
 
     def foreign_family(self, received: bytes | str | None) -> str:
         """Family of another dialect whose refusal was received; empty if there is none."""
@@ -151,14 +170,48 @@ class SerialLine:
 
     def close(self) -> None:
         """Close the port; may be called again."""
-        port, self._port = self._port, None
+        port, self.connection.port = self.connection.port, None
         if port is not None:
             with suppress(OSError):  # a disconnected port need not be closed
                 port.close()
 
     def _in_case(self, command: str) -> str:
-        lower = self.dialect.lower or self.settings.case == "lower"
-        return command.lower() if lower else command.upper()
+        return command.lower() if self.connection.lower else command.upper()
+
+    def _after_echo(self, command: str, received: bytes) -> bytes | None:
+        """What follows the echo; None before it. Everything, where the controller echoes nothing."""
+        if not self.connection.echoes:
+            return received
+        echo = command.encode("latin-1")
+        start = received.find(echo)
+        return None if start < 0 else received[start + len(echo) :]
+
+    def _text(self, command: str, body: bytes, received: bytes) -> str:
+        """The reply in what follows the echo. Raises NoReply: more than one; Refused."""
+        # A refusal may repeat the unknown word.
+        echoed = not self.connection.echoes and command and body.lstrip().startswith(command.encode("latin-1"))
+        if echoed and not self.dialect.refusal.search(body):
+            raise self.error(NoReply, "an echo of a device that echoed nothing before", command, received)
+        ended = self.dialect.end.search(body)
+        if ended is None or body[ended.end() :]:
+            raise self.error(NoReply, "more than one reply", command, received)
+        if self.dialect.refusal.search(body):
+            # The dialect decides the case, or the description, or each was tried.
+            stated = not self.dialect.lower and self.settings.case != "auto"
+            case = f" and that `case: {self.settings.case}` is right" if stated else ""
+            advice = f"check that the device of the description is connected{case}"
+            raise self.error(Refused, "unknown command", command, received, advice)
+        return body[: ended.start()].decode("latin-1").strip(" \r\n")
+
+    def _await_silence(self, command: str) -> None:
+        received = b""
+        start = last_byte = self.clock()
+        while self.clock() - last_byte < QUIET:
+            if chunk := self._read(command):
+                received, last_byte = (received + chunk)[-LONGEST_REPLY:], self.clock()
+            if last_byte - start > LONGEST_NOISE:
+                advice = f"check the baud rate ({self.settings.baud}) and which device is connected"
+                raise self.error(NoReply, "the line does not become quiet", command, received, advice)
 
     def _read(self, command: str) -> bytes:
         with self._open_port(command) as port:
@@ -173,10 +226,10 @@ class SerialLine:
     @contextmanager
     def _open_port(self, command: str) -> Iterator[Serial]:
         """The port; closed, with DeviceLost, if it was disconnected."""
-        if self._port is None:
+        if self.connection.port is None:
             raise self.error(DeviceLost, "the port is closed", command, advice="connect the device and start again")
         try:
-            yield self._port
+            yield self.connection.port
         except OSError as error:
             self.close()
             problem = f"the port was disconnected ({error.strerror or error})"
@@ -185,17 +238,19 @@ class SerialLine:
 
     def _no_reply(self, command: str, received: bytes, timeout: float) -> NoReply:
         baud = f"the baud rate ({self.settings.baud})"
+        kind: type[NoReply] = NoReply
         if family := self.foreign_family(received):
             problem, advice = f"a device of the {family} dialect answers", "correct `port` or `dialect`"
         elif not received:
             problem, advice = f"no reply in {timeout:g} s", f"check that it is switched on, its cable, and {baud}"
-        elif command.encode("latin-1") not in received:
+        elif self._after_echo(command, received) is None:
             problem = f"no echo of the command in {timeout:g} s"
             advice = f"check which device is connected, {baud}, and that its echo is on"
+            kind = NoEcho if self.dialect.end.search(received) else NoReply
         else:
             problem = f"incomplete reply after {timeout:g} s"
             advice = "check its cable; if the device needs more time, raise its timeout in rig.yaml"
-        return self.error(NoReply, problem, command, received, advice)
+        return self.error(kind, problem, command, received, advice)
 
     def _open(self, open_port: Callable[..., Serial] | None) -> Serial:
         from serial import Serial

@@ -11,12 +11,20 @@ import re
 from brdfpipe.rig.acquisition.devices.serial_instrument import ANY_REPLY, POSITION, SerialFilterWheel
 from brdfpipe.rig.acquisition.devices.serial_line import Dialect
 
+_PROMPT = ">"
+_FIRST_FIRMWARE = re.compile(r"version 1\.0\b")
+
 
 class FilterWheel(SerialFilterWheel):
     """An FW102C (6 positions) or FW212C (12 positions) wheel."""
 
     dialect = Dialect(
-        "filter wheel", "Thorlabs", end=re.compile(rb"[\r\n]> ?"), refusal=re.compile(rb"CMD_[A-Z_]+"), lower=True
+        "filter wheel",
+        "Thorlabs",
+        end=re.compile(rb"[\r\n]> ?"),
+        refusal=re.compile(rb"CMD_[A-Z_]+"),
+        lower=True,
+        lead=re.compile(rb"\A[\r\n]*> ?"),
     )
 
     def position(self) -> int:
@@ -31,14 +39,29 @@ class FilterWheel(SerialFilterWheel):
     def read_identity(self) -> tuple[str, str]:
         """Model and firmware; the wheel states no serial number."""
         identity = self.ask_name("*idn?")
+        # Firmware 1.0 takes a command only after a line of its own prompt.
+        self.line.connection.prelude = _PROMPT if _FIRST_FIRMWARE.search(identity) else None
         self.ask_once("pos?", POSITION)
         return identity, ""
 
+    @property
+    def _first_firmware(self) -> bool:
+        return self.line.connection.prelude is not None
+
+    def describe(self) -> dict[str, str]:
+        """Position sensors that cannot be switched off: their light is stray light."""
+        return {"position sensors": "on, firmware 1.0 cannot switch them off"} if self._first_firmware else {}
+
     def configure(self) -> None:
-        """Verify the number of positions, and switch the position sensors off: their light is stray light."""
+        """Verify the number of positions, and switch the position sensors off. Firmware 1.0 knows neither."""
+        if self._first_firmware:
+            return
         count = int(self.ask_once("pcount?", POSITION)[0])
         if count != self.settings.positions:
-            advice = f"set `positions: {count}` if this is the right wheel"
+            advice = (
+                f"set `positions: {count}` if this is the right wheel; if another program changed the wheel's own count, send "
+                f"`pcount={self.settings.positions}`"
+            )
             raise self.mismatch("number of positions", self.settings.positions, count, advice)
         self.ask_once("sensors=0", ANY_REPLY)
         sensors = int(self.ask_once("sensors?", POSITION)[0])

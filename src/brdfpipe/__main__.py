@@ -1,0 +1,5 @@
+"""``python -m brdfpipe`` is ``brdfpipe``."""
+
+from brdfpipe.cli.main import main
+
+main()

@@ -1,0 +1,161 @@
+"""Section of a material's page on the visible structure beside the BRDF: a tile, its spectrum, and how it fits the BRDF."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+
+import numpy as np
+import xarray as xr
+
+from brdfpipe.report.cards import Section, Table
+from brdfpipe.report.formatting import number
+from brdfpipe.report.plots.raster import false_colour, framed
+from brdfpipe.report.plots.svg import Array, Axis, Figure, Line, chart, legend, linear_ticks, png
+
+_SHOWN = 400
+"""Pixels of a tile along a side of its figure, at most."""
+_LEAST = 1e-8
+"""Of the largest power: less is not drawn."""
+
+
+def texture_section(datasets: Mapping[str, xr.Dataset]) -> Section:
+    """The tile and its spectrum; empty where the scene asks for no texture."""
+    section = Section("Visible structure")
+    if (pictured := datasets.get("picture_texture")) is not None:
+        section.figures += [
+            figure for number in range(pictured.sizes["geometry"]) for figure in _of_picture(pictured, number)
+        ]
+        section.tables.append(_sparkles(pictured))
+        return section
+    if (texture := datasets.get("texture")) is None:
+        return section
+    section.figures += [_tile(texture), _spectra(texture)]
+    section.tables.append(_numbers(texture, datasets.get("unresolved")))
+    return section
+
+
+def _tile(texture: xr.Dataset) -> Figure:
+    height = texture["height"].values[:_SHOWN, :_SHOWN].astype(float)
+    extent = height.shape[0] * float(texture.attrs["pixel"])
+    low, high = np.percentile(height, [0.5, 99.5]).tolist()
+    svg, _ = framed(
+        f"Height map of the texture, {extent:.4g} micrometres along a side",
+        png(*false_colour(height, low, high)),
+        ("x, µm", 0.0, extent),
+        ("y, µm", 0.0, extent),
+        "µm",
+        [((value - low) / (high - low), name) for value, name in linear_ticks(low, high, count=5)],
+    )
+    whole = "The whole tile" if height.shape == texture["height"].shape else "A part of the tile"
+    return Figure("Height map, tileable", svg, note=f"{whole}; it repeats without a border.")
+
+
+def _spectra(texture: xr.Dataset) -> Figure:
+    powers = texture["sample_psd"].values, texture["tile_psd"].values
+    return _spectrum(
+        texture["texture_frequency"].values, powers, "scan, on the same pixels", "µm⁴", "Spectrum of the texture"
+    )
+
+
+def _of_picture(texture: xr.Dataset, number: int) -> Iterator[Figure]:
+    """The tile of a geometry, and its spectrum."""
+    geometry = str(texture["geometry"].values[number])
+    light = texture["relative_light"].values[number, :_SHOWN, :_SHOWN].astype(float)
+    extent = light.shape[0] * float(texture.attrs["pixel"])
+    high = max(float(np.percentile(light, 99.5)), 1.01)
+    svg, _ = framed(
+        f"Light over its mean at {geometry}, {extent:.4g} micrometres along a side",
+        png(*false_colour(light, 0.0, high)),
+        ("x, µm", 0.0, extent),
+        ("y, µm", 0.0, extent),
+        "1",
+        [(value / high, name) for value, name in linear_ticks(0.0, high, count=5)],
+    )
+    whole = "The whole tile" if light.shape == texture["relative_light"].shape[1:] else "A part of the tile"
+    yield Figure(f"Light over its mean, {geometry}", svg, note=f"{whole}; it repeats without a border.")
+    powers = texture["sample_contrast_psd"].values[number], texture["tile_contrast_psd"].values[number]
+    yield _spectrum(texture["texture_frequency"].values, powers, "picture", "µm²", f"Spectrum of the light, {geometry}")
+
+
+def _sparkles(texture: xr.Dataset) -> Table:
+    columns = (
+        ("sparkle_density", "Sparkles, mm⁻²"),
+        ("tile_sparkle_density", "of the tile"),
+        ("sparkle_area", "Area, µm²"),
+        ("sparkle_contrast", "Contrast"),
+        ("graininess", "Graininess"),
+        ("tile_graininess", "of the tile"),
+        ("illumination_range", "Illumination"),
+        ("spectrum_difference", "Spectrum"),
+    )
+    shares = ("illumination_range", "spectrum_difference")
+    rows = [
+        (
+            str(geometry),
+            *(
+                f"{100 * float(texture[name].values[row]):.1f} %"
+                if name in shares
+                else number(float(texture[name].values[row]), 3)
+                for name, _ in columns
+            ),
+        )
+        for row, geometry in enumerate(texture["geometry"].values)
+    ]
+    threshold, distance = float(texture.attrs["sparkle_threshold"]), float(texture.attrs["graininess_distance"])
+    note = (
+        f"Sparkle: neighbouring pixels brighter than {1 + threshold:g} times the median; contrast: mean of the peaks over the median, less 1. Graininess: rms contrast that an eye "
+        f"sees at {distance:g} m; it is meant for diffuse light. Illumination: largest over least, less 1, divided out. Spectrum: largest relative difference of tile and "
+        "picture up to half the Nyquist frequency. Instruments evaluate by unpublished procedures: their numbers are others."
+    )
+    return Table("Sparkle and graininess", ("Geometry", *(title for _, title in columns)), rows, note)
+
+
+def _spectrum(frequency: Array, powers: tuple[Array, Array], of: str, unit: str, title: str) -> Figure:
+    marks = [Line(frequency, powers[0], "c0", of), Line(frequency, powers[1], "c1", "tile", "dash")]
+    joined = np.concatenate(powers)
+    top = 10.0 ** np.ceil(np.log10(joined.max()) + 0.1)
+    bottom = max(10.0 ** np.floor(np.log10(joined[joined > 0].min())), top * _LEAST)
+    svg = chart(
+        f"Power spectral density of {of.partition(',')[0]} and tile against spatial frequency, both logarithmic",
+        Axis("spatial frequency, µm⁻¹", float(frequency[0]) / 1.2, float(frequency[-1]) * 1.2, log=True),
+        Axis(f"spectral density S, {unit}", float(bottom), float(top), log=True),
+        marks,
+    )
+    return Figure(title, svg, legend(marks), "Means over rings of frequencies.")
+
+
+def _numbers(texture: xr.Dataset, rest: xr.Dataset | None) -> Table:
+    pixel, side = float(texture.attrs["pixel"]), texture.sizes["x"]
+    rows = [
+        ("Pixel", f"{number(pixel)} µm", f"{side} × {side} pixels, {number(side * pixel / 1000)} mm along a side"),
+        ("Slopes left to the BRDF", _percent(texture["unresolved_share"]), "of the mean square slope of all facets"),
+        (
+            "Facets at other slopes",
+            _percent(texture["split_difference"]),
+            "when those of the map and of the rest are put together",
+        ),
+        (
+            "Difference of the spectra",
+            _percent(texture["spectrum_difference"]),
+            "largest, up to half the Nyquist frequency",
+        ),
+        ("Difference of the heights", _percent(texture["value_difference"]), "of the cumulated distributions"),
+        ("Difference of the slopes", _percent(texture["slope_difference"]), "of the cumulated distributions"),
+    ]
+    if rest is not None and "mean_difference" in rest.attrs:
+        rows.append(
+            (
+                "Map with the rest, from afar",
+                f"{100 * float(rest.attrs['mean_difference']):.1f} %",
+                "rms difference from the BRDF without a map, in lights of 5° about the mirror direction",
+            )
+        )
+    note = (
+        f"Method {texture.attrs['method']}, seed {texture.attrs['seed']}. The map goes with the BRDF of `unresolved.nc`: with that of all facets the slopes of "
+        "the map would count twice."
+    )
+    return Table("Texture in numbers", ("Quantity", "Value", "Of"), rows, note.replace("`", ""))
+
+
+def _percent(value: xr.DataArray) -> str:
+    return f"{100 * float(value):.2g} %"

@@ -1,0 +1,96 @@
+"""Materials of renderers that use the maps of a scan, and the BSDF that goes with them."""
+
+from __future__ import annotations
+
+import json
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+import relief_maps
+import samples
+
+from brdfpipe import facets, optics, vocabulary
+from brdfpipe.bsdf import microfacet
+from brdfpipe.texture.map_files import write_maps
+from brdfpipe.texture.renderer_files import with_renderer_files
+from brdfpipe.texture.scan_texture import of_scan
+from brdfpipe.texture.unresolved import unresolved_bsdf
+
+INDEX = optics.refractive_index(1.5)
+
+
+def made(height):
+    surface = samples.surface(height)
+    every = facets.estimate(surface)
+    texture = of_scan(surface, every, pixel=4.0, size=64, seed=1)
+    spectrum = samples.spectrum(0.3)
+    full = microfacet.build(every, index=INDEX, spectrum=spectrum)
+    return texture, unresolved_bsdf(texture, INDEX, full, spectrum)
+
+
+@pytest.fixture(scope="module")
+def gaussian():
+    return made(relief_maps.gaussian(0.1, 256, 1, 8.0))
+
+
+@pytest.fixture(scope="module")
+def written(gaussian, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("renderers")
+    texture, rest = gaussian
+    write_maps(texture, folder, "panel--1")
+    listed = with_renderer_files(texture, rest, folder, "panel--1", ("gltf", "openpbr", "rgl"))
+    return folder, listed
+
+
+def test_every_material_names_the_map(written):
+    folder, listed = written
+    assert set(json.loads(listed.attrs["files"])) == {
+        "panel--1.textured.gltf",
+        "panel--1.textured.mtlx",
+        "panel--1.textured.xml",
+        "panel--1.unresolved.rgb.bsdf",
+        "panel--1.unresolved.rgb.bsdf.json",
+    }
+    gltf = json.loads((folder / "panel--1.textured.gltf").read_text())
+    named = gltf["images"][gltf["textures"][gltf["materials"][0]["normalTexture"]["index"]]["source"]]["uri"]
+    assert (folder / named).is_file()
+    mtlx = ElementTree.parse(folder / "panel--1.textured.mtlx").getroot()
+    nodes = {node.get("name"): node for node in mtlx}
+    normal = nodes[mtlx.find("open_pbr_surface/input[@name='geometry_normal']").get("nodename")]
+    image = nodes[normal.find("input[@name='in']").get("nodename")]
+    file = image.find("input[@name='file']")
+    assert (folder / file.get("value")).is_file()
+    # Normals are no colours.
+    assert file.get("colorspace") == "none"
+
+
+def test_mitsuba_loads_the_scene(written):
+    mitsuba = pytest.importorskip("mitsuba", reason="Mitsuba is not there: make peers")
+    before = mitsuba.variant()
+    mitsuba.set_variant("scalar_rgb")
+    try:
+        scene = mitsuba.load_file(str(written[0] / "panel--1.textured.xml"))
+        film = scene.sensors()[0].film()
+        mitsuba.traverse(film)["size"] = [24, 24]
+        picture = np.array(mitsuba.render(scene, spp=4))
+        assert np.isfinite(picture).all()
+        assert picture.mean() > 0
+    finally:
+        if before is not None:
+            mitsuba.set_variant(before)
+
+
+def test_formats_that_are_not_exported_are_not_written(gaussian, tmp_path):
+    texture, rest = gaussian
+    (tmp_path / "panel.textured.gltf").write_text("of an earlier run")
+    listed = with_renderer_files(texture, rest, tmp_path, "panel", ())
+    assert json.loads(listed.attrs["files"]) == {}
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_format_without_a_lay_says_why_it_is_not_written(tmp_path):
+    texture, rest = made(relief_maps.ridges(256, 1, 0.12) + relief_maps.gaussian(0.08, 256, 1, 4.0))
+    listed = with_renderer_files(texture, rest, tmp_path, "panel", ("gltf",))
+    assert json.loads(listed.attrs["files"]) == {}
+    assert any("lay" in text for text in vocabulary.warnings(listed))
