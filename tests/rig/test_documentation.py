@@ -97,7 +97,7 @@ def test_every_dialect_of_the_description_has_a_driver():
 
 def test_the_columns_of_the_fibres_are_named():
     documented = [word for row in rows(section("fibres.csv"), "Column") for word in words(row["Column"])]
-    assert tuple(documented) == description.COLUMNS
+    assert tuple(documented) == (*description.COLUMNS, description.DIRECTION_COLUMN)
     assert f"`{','.join(description.COLUMNS)}`" in section("fibres.csv")
 
 
