@@ -97,17 +97,22 @@ def test_every_dialect_of_the_description_has_a_driver():
 
 def test_the_columns_of_the_fibres_are_named():
     documented = [word for row in rows(section("fibres.csv"), "Column") for word in words(row["Column"])]
-    assert tuple(documented) == description.COLUMNS
+    assert tuple(documented) == (*description.COLUMNS, description.DIRECTION_COLUMN)
     assert f"`{','.join(description.COLUMNS)}`" in section("fibres.csv")
 
 
 def test_the_page_says_what_makes_another_rig(rig_file):
     """Ports, dialects and the connection of the camera do not; all other keys do."""
     (exceptions,) = re.findall(r"all keys above except(.*?)\. The digest", section("rig.yaml"), re.DOTALL)
-    assert words(exceptions) == ["monochromator", "wheel", "kind", "folder", "address", "device", "timeout"]
+    assert words(exceptions) == [
+        *("monochromator", "wheel", "kind", "folder", "address", "device", "timeout", "linearity_u")
+    ]
     text = rig_file.read_text()
     before = Rig.load(rig_file).digest
-    other = text.replace("kind: drop-folder, folder: camera", "kind: alpaca, address: 'host:1', device: 2, timeout: 5")
+    other = text.replace(
+        "kind: drop-folder, folder: camera",
+        "kind: alpaca, address: 'host:1', device: 2, timeout: 5, linearity_u: 0.002",
+    )
     other = other.replace("port: /dev/ttyUSB0", "port: COM3, grating: 2")
     other = other.replace("dialect: thorlabs, port: /dev/ttyUSB1", "dialect: acton-wheel, port: COM4, positions: 5")
     assert other.count("COM") == 2
