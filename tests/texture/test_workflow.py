@@ -9,6 +9,7 @@ import pytest
 
 from brdfpipe import store
 from brdfpipe.catalogue.catalogue import load
+from brdfpipe.catalogue.raw_reading import describe_files
 from brdfpipe.jobs.build import build
 from brdfpipe.scenes.scene import Scene, load_scene
 from brdfpipe.stages import STAGES, Subject
@@ -63,6 +64,11 @@ def test_a_texture_without_what_it_is_made_of_is_refused(tmp_path, keys, words):
     )
     (tmp_path / "a" / "a.png").write_bytes((EXAMPLES / "sparkling-texture" / "diffuse.png").read_bytes())
     assert words in load(tmp_path).failures["a"]
+
+
+def test_check_reads_the_pictures(catalogue):
+    lines = describe_files(catalogue, catalogue["sparkling-texture"])
+    assert lines == [f"{name}.png: a picture of 192 x 192 pixels" for name in ("45as15", "45as45", "diffuse")]
 
 
 @pytest.mark.slow

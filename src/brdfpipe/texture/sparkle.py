@@ -1,12 +1,12 @@
 """Sparkle and graininess of a texture of unit mean.
 
-Sparkles are points of light that are much brighter than what surrounds them, under light from one direction; graininess is the contrast of the irregular pattern of light and
-dark under diffuse light (ASTM E284, as CIE JTC 12 quotes it). The measures here follow the contrast and the density of luminous points
-of Ferrero et al. 2021, with the definitions below. Instruments evaluate pictures by procedures that are not published: their numbers are others.
+Sparkles are points of light that are much brighter than what surrounds them, under light from one direction; graininess is the perceived contrast of the irregular pattern of
+light and dark in diffuse light: so CIE JTC 12 defines the terms. The measures, with their background, threshold and filter, are this package's: they do not reproduce the scales
+that the CIE discusses, nor those of instruments, whose procedures are not published.
 
 References
 ----------
-Ferrero et al. 2021 (Opt. Express 29, 7589), preliminary measurement scales for sparkle and graininess; Ferrero et al. 2013 (Opt. Express 21, 26812).
+Ferrero et al. 2021 (Opt. Express 29, 7589), the scales under discussion; Ferrero et al. 2013 (Opt. Express 21, 26812), a model of both textures.
 """
 
 from __future__ import annotations
