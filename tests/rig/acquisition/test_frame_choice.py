@@ -37,8 +37,8 @@ def left_out(plan: Plan, frames: xr.Dataset) -> list[Shot]:
             brackets[shot.arrangement, shot.wavelength].append((shot, picture))
     for (arrangement, wavelength), bracket in brackets.items():
         first, taken = choice.before(arrangement, wavelength), set()
-        for steps in (lambda: first, lambda: choice.after(arrangement, wavelength) - first):
-            chosen = steps()
+        for after in (False, True):
+            chosen = choice.after(arrangement, wavelength) - first if after else first
             for shot, picture in bracket:
                 if shot.step in chosen:
                     choice.learn(shot, picture, darks[shot.exposure])
@@ -152,7 +152,7 @@ def test_a_scan_leaves_frames_out_and_says_so(taken):
 
 
 def test_frames_that_were_not_needed_are_not_missing(taken):
-    plan, folder, done = taken
+    _, folder, done = taken
     run = read_run(folder)
     assert run.sizes["frame"] == done.frames
     assert not any("missing" in text for text in vocabulary.warnings(run))
@@ -169,7 +169,7 @@ def test_a_resumed_scan_takes_no_frame_that_was_not_needed(taken):
 
 
 def test_an_interrupted_scan_is_resumed_with_the_same_choice(taken, tmp_path):
-    plan, whole, done = taken
+    plan, _, done = taken
 
     class Lost:
         def __init__(self, camera):
