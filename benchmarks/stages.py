@@ -17,7 +17,7 @@ from brdfpipe.stages import EXPORTS, STAGES, Stage
 PROJECT = Path(__file__).resolve().parents[1]
 PAGE = PROJECT / "docs" / "stages.md"
 
-LIMITS = {"predicted": 50, "flake": 30, "measured": 20, "smoothed": 20}
+LIMITS = {"predicted": 50, "flake": 30, "measured": 21, "smoothed": 20}
 """Most modules that a stage may depend on."""
 
 BEFORE_COMMIT = "497fb8d"

@@ -21,7 +21,7 @@ def test_the_page_of_stages_is_up_to_date() -> None:
     assert written == expected, "run `python benchmarks/stages.py`"
 
 
-@pytest.mark.parametrize(("stage", "most"), {"predicted": 50, "flake": 30, "measured": 20, "smoothed": 20}.items())
+@pytest.mark.parametrize(("stage", "most"), {"predicted": 50, "flake": 30, "measured": 21, "smoothed": 20}.items())
 def test_a_stage_depends_on_few_modules(stage: str, most: int) -> None:
     assert benchmark.LIMITS[stage] == most
     assert len(benchmark.modules(STAGES[stage])) <= most

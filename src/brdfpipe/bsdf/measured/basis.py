@@ -24,6 +24,8 @@ if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
 DEGREE = 3
+RESOLUTION = "resolution"
+"""Name of the component of the uncertainty by what cells and knots do not resolve."""
 GRAZING = (0.05, 0.15)  # scales in cos θ_o of the functions that describe the BSDF towards grazing
 GRAZING_HARMONICS = 1  # of φ
 GRAZING_WIDTH = 30.0  # distance from the mirror direction beyond which these harmonics have their full size [degree]

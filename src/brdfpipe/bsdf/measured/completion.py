@@ -13,12 +13,11 @@ from numpy.typing import NDArray
 
 from brdfpipe import vocabulary
 from brdfpipe.bsdf.measured import basis as bases
-from brdfpipe.bsdf.measured.basis import Basis
+from brdfpipe.bsdf.measured.basis import RESOLUTION, Basis
 from brdfpipe.bsdf.measured.coordinates import cell_angles, outgoing
 from brdfpipe.bsdf.measured.evaluation import REPRESENTATION, evaluate, lobe_slope, uncertainty
 from brdfpipe.bsdf.measured.node_interpolation import interpolation_abscissa
 from brdfpipe.bsdf.measured.reciprocity import with_contradictions
-from brdfpipe.bsdf.measured.resolution import RESOLUTION
 from brdfpipe.errors import VocabularyError
 from brdfpipe.geometry import Array
 from brdfpipe.hemisphere import around_mirror

@@ -10,9 +10,6 @@ import numpy as np
 from brdfpipe.bsdf.measured.least_squares import Decomposition, StandardForm
 from brdfpipe.geometry import Array
 
-RESOLUTION = "resolution"
-"""Name of this component of the uncertainty."""
-
 _SHARE = 0.25
 """Error of the fit over its change with every second knot. At the edge of a lobe 1.5° wide it is 0.3 to 0.6, at wider ones less than 0.1."""
 
