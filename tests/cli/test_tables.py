@@ -38,7 +38,33 @@ def test_convert_states_the_error_and_what_is_left_out(saved: Path, tmp_path: Pa
 def test_an_error_above_the_tolerance_names_the_option(saved: Path, tmp_path: Path) -> None:
     found = run("convert", saved, tmp_path / "grain.zemax.bsdf", "--tolerance", 1e-4, "--largest", 2000)
     assert found.exit_code == 0, found.output
-    assert "MORE than the tolerance: allow more values by the option `largest`" in found.output
+    assert "MORE than the tolerance of 0.0001" in found.output
+    assert ": allow more values by the option `largest`" in found.output
+
+
+@pytest.mark.parametrize(
+    ("words", "named"),
+    [
+        (["grain.xyz"], "no format has files that end with '.xyz'"),
+        (["grain.ddr", "--option", "binary=true"], "integra: unknown option 'binary'"),
+        (["grain.zemax.bsdf", "--wavelengths", "550"], "the format has no wavelengths"),
+        (["grain.nc", "--tolerance", "0.1"], "netCDF has no option 'tolerance'"),
+    ],
+)
+def test_a_target_that_cannot_be_written_is_refused_before_the_source_is_read(
+    tmp_path: Path, words: list[str], named: str
+) -> None:
+    (tmp_path / "in.zemax.bsdf").write_text("no table")
+    found = run("convert", tmp_path / "in.zemax.bsdf", tmp_path / words[0], *words[1:])
+    assert found.exit_code != 0
+    assert named in found.output
+
+
+def test_an_error_of_the_reflectance_alone_above_its_limit_is_named(saved: Path, tmp_path: Path) -> None:
+    words = "--tolerance", 0.5, "--option", "albedo_tolerance=1e-9", "--largest", 2000
+    found = run("convert", saved, tmp_path / "grain.zemax.bsdf", *words)
+    assert "MORE than the albedo_tolerance of 1e-09: allow more" in found.output
+    assert "that is MORE than the albedo_tolerance of 1e-09" in (tmp_path / "grain.zemax.bsdf").read_text()
 
 
 def test_wavelengths_and_options_of_the_format(saved: Path, tmp_path: Path) -> None:

@@ -141,8 +141,10 @@ def test_options_out_of_range_are_refused(grey, tmp_path, name, value):
 
 def test_a_file_too_small_for_its_tolerance_says_so(grey, tmp_path):
     write(grey, tmp_path / "x.mbsdf", colour=False, tolerance=1e-4, largest=2000)
-    assert not json.loads((tmp_path / "x.mbsdf.json").read_text())["error"]["within_tolerance"]
-    assert b"MORE than the tolerance" in (tmp_path / "x.mbsdf").read_bytes()
+    error = json.loads((tmp_path / "x.mbsdf.json").read_text())["error"]
+    assert not error["within_tolerance"]
+    assert "tolerance" in error["exceeded"]
+    assert b"MORE than the tolerance of 0.0001" in (tmp_path / "x.mbsdf").read_bytes()
 
 
 def changed_head(content: bytes, *head: int) -> bytes:

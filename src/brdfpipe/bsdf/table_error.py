@@ -52,6 +52,22 @@ class TableError(NamedTuple):
     """Number of pairs of directions"""
 
 
+class Limits(NamedTuple):
+    """Limits of the error of a table [1]."""
+
+    tolerance: float
+    """Of :attr:`TableError.percentile_95`"""
+    albedo_tolerance: float
+    """Of :attr:`TableError.albedo`"""
+
+    def exceeded(self, error: TableError) -> dict[str, float]:
+        """The limits that an error exceeds, by name; empty if it keeps both."""
+        reached = error.percentile_95, error.albedo
+        return {
+            name: limit for name, limit, value in zip(self._fields, self, reached, strict=True) if not value <= limit
+        }
+
+
 def fresh_pairs(bsdf: xr.Dataset, seed: int, incidences: int = 12, views: int = 256) -> Pairs:
     """Pairs of directions for a comparison: incidences spread evenly to :data:`LARGEST_INCIDENCE`, and views of each.
 

@@ -70,6 +70,7 @@ def convert(
     given = {"tolerance": tolerance, "largest": largest}
     options = {name: value for name, value in given.items() if value is not None} | dict(map(_option, further))
     wanted = _numbers(wavelengths)
+    conversion.target(target, format, wavelengths=wanted, **options)  # a mistake is named before a long file is read
     with _options_in_place_of_keys({"table.format": "--from", "table.quantity": "--quantity"}):
         bsdf = conversion.open_bsdf(source, read_as, quantity)
     for warning in json.loads(bsdf.attrs.get("warnings", "[]")):

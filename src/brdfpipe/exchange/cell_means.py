@@ -11,7 +11,7 @@ import xarray as xr
 from brdfpipe.bsdf.grids import GRIDS
 from brdfpipe.bsdf.nonspectral import nonspectral
 from brdfpipe.bsdf.registry import representation
-from brdfpipe.bsdf.table_error import Evaluate, TableError, error_of, fresh_pairs
+from brdfpipe.bsdf.table_error import Evaluate, Limits, TableError, error_of, fresh_pairs
 from brdfpipe.bsdf.tabulation import values_on_nodes
 from brdfpipe.exchange.gridded import Channels
 from brdfpipe.exchange.records import Content
@@ -38,7 +38,7 @@ class CellTable:
     reading: str
     """What the program does that reads the cells, ``interpolated linearly``"""
     content: Content = "luminous"
-    within_tolerance: bool | None = None
+    limits: Limits | None = None
     """None of a format whose cells are not chosen"""
 
     @property

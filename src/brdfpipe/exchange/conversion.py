@@ -14,7 +14,7 @@ from brdfpipe import store, vocabulary
 from brdfpipe.errors import InputError
 from brdfpipe.exchange import registry
 from brdfpipe.exchange.reading import read
-from brdfpipe.exchange.registry import ExchangeError
+from brdfpipe.exchange.registry import ExchangeError, Format
 from brdfpipe.exchange.specular_shares import stated_beside
 
 NETCDF = ".nc"
@@ -66,23 +66,38 @@ def convert(
     ------
     ExchangeError : the format or an option is unknown, or the format does not take such a BSDF.
     """
+    written_as = target(path, format, wavelengths=wavelengths, **options)
     if len(wavelengths):
         bsdf = at_given_wavelengths(bsdf, wavelengths)
+    if written_as is None:
+        material = str(bsdf.attrs.get("material", Path(path).stem))
+        store.save_dataset(bsdf, path, stage="convert", material=material, inputs=inputs)
+        return {}
+    declared, writer, options = written_as
+    return declared.run(writer, bsdf, path, options)
+
+
+def target(
+    path: str | os.PathLike[str], format: str | None = None, *, wavelengths: Sequence[float] = (), **options: Any
+) -> tuple[Format, str, dict[str, Any]] | None:
+    """The format of a file to be written, its writer and all options; None of netCDF. Needs no BSDF, so that a mistake is named before one is read.
+
+    Raises ExchangeError: the format or an option is unknown, or the format has no wavelengths; parameters as of :func:`convert`.
+    """
     if Path(path).suffix.lower() == NETCDF and format is None:
         if options:
             raise ExchangeError(
                 f"{Path(path).name}: netCDF has no option {next(iter(options))!r}; it holds the BSDF itself"
             )
-        material = str(bsdf.attrs.get("material", Path(path).stem))
-        store.save_dataset(bsdf, path, stage="convert", material=material, inputs=inputs)
-        return {}
+        return None
     declared, writer = registry.writer_of(path, format)
     if len(wavelengths):
         if "spectrum" not in declared.carries:
-            known = ", ".join(name for name, one in registry.FORMATS.items() if "spectrum" in one.carries)
+            known = ", ".join(name for name in registry.WRITTEN if "spectrum" in registry.FORMATS[name].carries)
             raise ExchangeError(f"{declared.name}: the format has no wavelengths; accepted: {known}, or netCDF")
         options = {**declared.spectral, **options}
-    return declared.run(writer, bsdf, path, options)
+    declared.keywords(options)
+    return declared, writer, options
 
 
 def at_given_wavelengths(bsdf: xr.Dataset, wavelengths: Sequence[float]) -> xr.Dataset:

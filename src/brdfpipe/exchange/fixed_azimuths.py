@@ -17,7 +17,7 @@ from brdfpipe.bsdf import table_nodes
 from brdfpipe.bsdf.grids import GRIDS
 from brdfpipe.bsdf.nonspectral import nonspectral
 from brdfpipe.bsdf.registry import representation
-from brdfpipe.bsdf.table_error import Evaluate, TableError, error_of, fresh_pairs
+from brdfpipe.bsdf.table_error import Evaluate, Limits, TableError, error_of, fresh_pairs
 from brdfpipe.bsdf.tabulation import values_on_nodes
 from brdfpipe.exchange.gridded import Channels, Gridded, check_limits
 from brdfpipe.geometry import Array
@@ -48,8 +48,8 @@ def gridded(
     fewest = min((n + 1) * (n * times + 1) for n, times in _AZIMUTHS) * _FEWEST_POLAR**2
     check_limits(tolerance, albedo_tolerance, largest, least=fewest)
     model = nonspectral(bsdf)
-    limits = {"tolerance": tolerance, "albedo_tolerance": albedo_tolerance}
-    chosen = table_nodes.choose_nodes(model, "uniform", **limits, largest=largest).axes
+    limits = Limits(tolerance, albedo_tolerance)
+    chosen = table_nodes.choose_nodes(model, "uniform", **limits._asdict(), largest=largest).axes
     pairs = fresh_pairs(model, _TEST_SEED)
     found = []
     for incidences, times in _AZIMUTHS:
@@ -61,9 +61,8 @@ def gridded(
     values = values_on_nodes(representation(model).evaluate, GRIDS["uniform"], axes, False, False)
     factor = table_nodes.albedo_factor(model, values, axes, tolerance)
     error = error_of(model, between_nodes(model, axes, factor), pairs)
-    within = error.percentile_95 <= tolerance and error.albedo <= albedo_tolerance
     turned = error_of(model, table_nodes.interpolation(axes, values * factor), pairs)
-    return FixedAzimuths(bsdf, "uniform", axes, channels, factor, error, within, turned)
+    return FixedAzimuths(bsdf, "uniform", axes, channels, factor, error, limits, turned)
 
 
 def _axes(chosen: Mapping[str, Array], incidences: int, azimuths: int, largest: int) -> dict[str, Array] | None:

@@ -19,7 +19,7 @@ from brdfpipe.bsdf.grids import GRIDS
 from brdfpipe.bsdf.nonspectral import nonspectral
 from brdfpipe.bsdf.one_side import Side, one_side
 from brdfpipe.bsdf.registry import representation
-from brdfpipe.bsdf.table_error import TableError, rules
+from brdfpipe.bsdf.table_error import Limits, TableError, rules
 from brdfpipe.bsdf.tabulation import full_circle, values_on_nodes
 from brdfpipe.exchange.records import Content
 from brdfpipe.exchange.registry import ExchangeError
@@ -88,7 +88,7 @@ class Gridded:
     channels: Channels
     factor: Array
     error: TableError
-    within_tolerance: bool
+    limits: Limits
 
     reading = "interpolated linearly"
 
@@ -173,7 +173,8 @@ def gridded(
     choice = table_nodes.choose_nodes(
         nonspectral(bsdf), layout, tolerance=tolerance, albedo_tolerance=albedo_tolerance, largest=largest
     )
-    return Gridded(bsdf, layout, choice.axes, channels, choice.factor, choice.error, choice.within_tolerance)
+    limits = Limits(tolerance, albedo_tolerance)
+    return Gridded(bsdf, layout, choice.axes, channels, choice.factor, choice.error, limits)
 
 
 def check_limits(tolerance: float, albedo_tolerance: float, largest: int, *, least: int) -> None:

@@ -23,7 +23,7 @@ from brdfpipe import store
 from brdfpipe.bsdf import table_nodes
 from brdfpipe.bsdf.one_side import Side, one_side
 from brdfpipe.bsdf.registry import representation
-from brdfpipe.bsdf.table_error import TableError
+from brdfpipe.bsdf.table_error import Limits, TableError
 from brdfpipe.errors import InputError
 from brdfpipe.exchange import cell_means, gridded, records
 from brdfpipe.exchange.read_table import ReadTable
@@ -68,6 +68,7 @@ def write(
     ExchangeError : an option is out of range.
     """
     gridded.check_limits(tolerance, albedo_tolerance, largest, least=2 * _FEWEST**3)
+    limits = Limits(tolerance, albedo_tolerance)
     both: tuple[Side, ...] = ("reflection", "transmission") if representation(bsdf).is_slab else ("reflection",)
     sides = {side: one_side(bsdf, side) for side in both}
 
@@ -89,10 +90,9 @@ def write(
     values = displayed.astype("<f4")
     read_back = (cell_means.luminous(of_side.astype(float)) for of_side in values)
     error = _larger(_error(seen, of_side) for seen, of_side in zip(sides.values(), read_back, strict=True))
-    within = error.percentile_95 <= tolerance and error.albedo <= albedo_tolerance
     reading = "averaged over both orders of the directions and interpolated linearly between the centres of its cells"
     record = records.record(
-        cell_means.CellTable(bsdf, values, error, reading, "rgb" if colour else "luminous", within), FORMAT
+        cell_means.CellTable(bsdf, values, error, reading, "rgb" if colour else "luminous", limits), FORMAT
     )
     record["left_out"] |= gamut | cell_means.irreciprocity(least)
     with store.atomic_path(path) as temporary, temporary.open("wb") as file:

@@ -11,7 +11,7 @@ import xarray as xr
 from brdfpipe.bsdf.base import Representation
 from brdfpipe.bsdf.registry import representation
 from brdfpipe.bsdf.source_changes import uncertain
-from brdfpipe.bsdf.table_error import TableError
+from brdfpipe.bsdf.table_error import Limits, TableError
 from brdfpipe.exchange.registry import Format
 
 Content = Literal["luminous", "xyz", "rgb", "spectrum"]
@@ -37,8 +37,8 @@ class Exported(Protocol):
         """What the program does that reads the table, ``interpolated linearly``"""
 
     @property
-    def within_tolerance(self) -> bool | None:
-        """None where a format leaves nothing to choose."""
+    def limits(self) -> Limits | None:
+        """Of the error that was asked for; None where a format leaves nothing to choose."""
 
     @property
     def size(self) -> int: ...
@@ -58,10 +58,18 @@ def record(table: Exported, format: Format, whole: xr.Dataset | None = None) -> 
             "albedo": three_digits(error.albedo),
             "directions": error.directions,
             "reading": table.reading,
-            **({} if table.within_tolerance is None else {"within_tolerance": table.within_tolerance}),
+            **_kept(error, table.limits),
         },
         "left_out": left_out(bsdf, format, table.content),
     }
+
+
+def _kept(error: TableError, limits: Limits | None) -> Record:
+    """Whether an error keeps its limits, and those that it exceeds, option → limit."""
+    if limits is None:
+        return {}
+    exceeded = limits.exceeded(error)
+    return {"within_tolerance": not exceeded, **({"exceeded": exceeded} if exceeded else {})}
 
 
 def identity(bsdf: xr.Dataset) -> Record:
@@ -102,7 +110,7 @@ def sentences(record: Record, values: str = VALUES["reflection"]) -> list[str]:
     return [
         f"brdfpipe: {record['material']}, digest of the BSDF {record['digest']}",
         values,
-        stated if error.get("within_tolerance", True) else f"{stated}; that is MORE than the tolerance asked for",
+        f"{stated}; that is {more}" if (more := _more_than(error)) else stated,
         *(f"NOT in this file: {text}" for text in record["left_out"].values()),
     ]
 
@@ -160,8 +168,15 @@ def _stated(error: Mapping[str, Any], refused: str, finer: bool) -> str:
     if "delta_e_00" in error:
         parts.append(f"a colour difference of {error['delta_e_00']:.1f} (ΔE00) off the lobe")
     advice = ": allow more values by the option `largest`" if finer else ""
-    end = "" if error.get("within_tolerance", True) else f"; MORE than the tolerance{advice}"
+    more = _more_than(error)
+    end = f"; {more}{advice}" if more else ""
     return f"error {', '.join(parts)}{end}" + (f"; not written: {refused}" if refused else "")
+
+
+def _more_than(error: Mapping[str, Any]) -> str:
+    """The limits that an error exceeds, in words; empty if it keeps them or has none."""
+    exceeded = [f"the {name} of {limit:.3g}" for name, limit in error.get("exceeded", {}).items()]
+    return f"MORE than {' and '.join(exceeded)}" if exceeded else ""
 
 
 def left_out(bsdf: xr.Dataset, format: Format, content: Content) -> dict[str, str]:

@@ -21,7 +21,7 @@ import xarray as xr
 from brdfpipe.bsdf.nonspectral import nonspectral
 from brdfpipe.bsdf.one_side import one_side
 from brdfpipe.bsdf.registry import representation
-from brdfpipe.bsdf.table_error import TableError, fresh_pairs
+from brdfpipe.bsdf.table_error import Limits, TableError, fresh_pairs
 from brdfpipe.errors import InputError
 from brdfpipe.exchange import gridded, records, tensor_file
 from brdfpipe.exchange.gridded import Channels
@@ -96,7 +96,7 @@ def _write(
         _Written(
             bsdf,
             choice.error,
-            choice.within_tolerance,
+            Limits(grid["tolerance"], grid["albedo_tolerance"]),
             size.values * count,
             "rgb" if wavelength is None else "spectrum",
         ),
@@ -120,7 +120,7 @@ def _outside_gamut(bsdf: xr.Dataset, channels: Channels) -> dict[str, str]:
 class _Written(NamedTuple):
     bsdf: xr.Dataset
     error: TableError
-    within_tolerance: bool
+    limits: Limits
     size: int
     content: records.Content
     reading: str = "evaluated as Mitsuba does"

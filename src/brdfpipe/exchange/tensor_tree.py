@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from brdfpipe import store
 from brdfpipe.bsdf.nonspectral import nonspectral
 from brdfpipe.bsdf.registry import representation
-from brdfpipe.bsdf.table_error import FLOOR, TableError
+from brdfpipe.bsdf.table_error import FLOOR, Limits, TableError
 from brdfpipe.errors import InputError
 from brdfpipe.exchange import cell_means, gridded, records, window_xml
 from brdfpipe.exchange.read_table import ReadTable
@@ -100,6 +100,7 @@ def write(bsdf: xr.Dataset, path: Path, *, tolerance: float, albedo_tolerance: f
     def brdf(theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array) -> Array:
         return model.evaluate(theta_i, phi_i, theta_o, phi_o, None)[..., 0]
 
+    limits = Limits(tolerance, albedo_tolerance)
     sides = {name: passes for name, passes in window_xml.SIDES.items() if model.is_slab or not passes}
     rank, best = 3 if model.isotropic else 4, None
     for depth in _DEPTHS[rank]:
@@ -115,15 +116,15 @@ def write(bsdf: xr.Dataset, path: Path, *, tolerance: float, albedo_tolerance: f
         error = cell_means.table_error(
             bsdf, lambda *at, trees=trees: _lookup(trees, *at[:4]), transmission=model.is_slab
         )
-        met = error.percentile_95 <= tolerance and error.albedo <= albedo_tolerance
+        met = not limits.exceeded(error)
         if best is None or met or error.percentile_95 < best[1].percentile_95:
-            best = trees, error, met
+            best = trees, error
         if met:
             break
     assert best is not None
-    trees, error, met = best
+    trees, error = best
     size = sum(tree.leaves for tree in trees.values())
-    record = records.record(_Written(bsdf, error, met, size), FORMAT)
+    record = records.record(_Written(bsdf, error, limits, size), FORMAT)
     blocks = {name: window_xml.Block(_BASIS, _text(tree).encode()) for name, tree in trees.items()}
     with store.atomic_path(path) as temporary, temporary.open("wb") as file:
         file.writelines(window_xml.document(record, f"TensorTree{rank}", "", blocks))
@@ -134,7 +135,7 @@ def write(bsdf: xr.Dataset, path: Path, *, tolerance: float, albedo_tolerance: f
 class _Written:
     bsdf: xr.Dataset
     error: TableError
-    within_tolerance: bool
+    limits: Limits
     size: int
     content: records.Content = "luminous"
     reading: str = "one value for each cell"
