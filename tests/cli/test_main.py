@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import subprocess
 import sys
 import zipfile
 from collections.abc import Mapping
@@ -401,3 +402,8 @@ def test_a_group_without_a_command_lists_its_commands() -> None:
     done = run("rig")
     assert done.exit_code == 2
     assert "emulate" in done.stderr
+
+
+def test_the_package_runs_as_a_module() -> None:
+    done = subprocess.run([sys.executable, "-m", "brdfpipe", "--version"], capture_output=True, text=True, check=True)
+    assert version("brdfpipe") in done.stdout
