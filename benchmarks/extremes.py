@@ -561,7 +561,7 @@ def _rig() -> Iterator[Case]:
     yield Case(
         "fit to cells",
         "one cell",
-        lambda: warned(lambda: smoothing.smooth(data(slice(1))), "as many parameters as cells"),
+        lambda: warned(lambda: smoothing.smooth(data(slice(1))), "only 1 cell with a value"),
     )
     yield Case("fit to cells", "no cell", lambda: refused(lambda: smoothing.smooth(data(slice(0)))))
     for strength in (0.0, np.inf, np.nan):

@@ -200,7 +200,7 @@ def test_every_effect_shows(rig, effect):
         stand.set_entrance(10, load="etalon" if effect == "certificate" else "sample")
         return stand.camera.expose(30.0).counts
 
-    off_by_default = {"cosmic": 50.0}
+    off_by_default = {"cosmic": 50.0, "fibre_directions": 0.5}
     changed = dataclasses.replace(base, **{effect: off_by_default.get(effect, getattr(Effects(), effect))})
     assert not np.array_equal(picture(changed), picture(base))
 

@@ -526,10 +526,11 @@ def _with_notes(smoothed: xr.Dataset, fits: list[_Fit], strength: float | None) 
             f"{empty} of {smoothed['chi_squared_dof'].size} fits, one for each incidence and wavelength, have no cell with a value."
         )
     for fit, incidence in zip(fits, smoothed["incidence"].values, strict=True):
-        if mode == "pspline" and fit.used.any() and fit.solution.problems.counts.max() < _FEW_CELLS[0]:
+        if mode == "pspline" and fit.used.any() and (most := fit.solution.problems.counts.max()) < _FEW_CELLS[0]:
+            number = f"{most:g} cells with values, which do" if most > 1 else "1 cell with a value, which does"
             warnings.append(
-                f"The fit at {incidence:g}° has only {fit.solution.problems.counts.max():g} cells with values, which do not tell how far off it is "
-                "between them: its uncertainty is that of the roughest BSDF. Measure more cells."
+                f"The fit at {incidence:g}° has only {number} not tell how far off it is "
+                "elsewhere: its uncertainty is that of the roughest BSDF. Measure more cells."
             )
         elif fit.used.any() and np.isnan(fit.chi_squared_dof).any():
             warnings.append(
