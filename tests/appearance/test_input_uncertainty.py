@@ -154,7 +154,7 @@ def test_the_page_and_the_catalogue_show_the_uncertainty(index_alone):
     assert "Not known, and none assumed: facets counted, reflectance spectrum, model." in table.note
     tiles = {tile.name: tile.value for tile in key_numbers(datasets)}
     value, u = float(appearance["gloss"].sel(gloss_angle=60)), float(appearance["gloss_u"].sel(gloss_angle=60))
-    assert tiles["Gloss 60°"] == f"{value:.1f} ± {u:.1f}"
+    assert tiles["Gloss 60°"] == f"{value:.1f}\N{NO-BREAK SPACE}±\N{NO-BREAK SPACE}{u:.1f}"
     row = combine([summarise({name: one.assign_attrs(stage=name, material="m") for name, one in datasets.items()})])
     assert row["gloss_60_u"].item() == pytest.approx(u)
     assert np.isnan(row["luminous_reflectance_u"].item())
