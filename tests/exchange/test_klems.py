@@ -9,9 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 import samples
+import xarray as xr
 from loaded_by_radiance import load
 
-from brdfpipe import facets
+from brdfpipe import facets, vocabulary
 from brdfpipe.bsdf import microfacet, slab
 from brdfpipe.bsdf.registry import representation
 from brdfpipe.bsdf.table_error import error_of, fresh_pairs
@@ -86,6 +87,23 @@ def test_the_file_read_back_errs_by_what_its_record_says(grey, file):
     assert found.percentile_95 <= 1.4 * record["error"]["percentile_95"]
     assert found.albedo <= record["error"]["albedo"] + 5e-4
     assert "within_tolerance" not in record["error"]
+    assert "145 patches" in record["left_out"]["resolution"]
+    assert "NOT in this file: detail within the 145 patches" in file.read_text()
+
+
+def test_a_matt_body_loses_nothing_within_the_patches(tmp_path):
+    even = xr.Dataset(
+        {
+            "lambert": ("theta_i", [0.2, 0.2]),
+            "gauss_peak": ("theta_i", [0.0, 0.0]),
+            "gauss_fwhm_parallel": ("theta_i", [10.0, 10.0]),
+            "gauss_fwhm_perpendicular": ("theta_i", [10.0, 10.0]),
+        },
+        coords={"theta_i": [0.0, 60.0]},
+        attrs={"representation": "lambert_gauss"},
+    )
+    write(vocabulary.label(even, "bsdf"), tmp_path / "x.klems.xml")
+    assert "resolution" not in json.loads((tmp_path / "x.klems.xml.json").read_text())["left_out"]
 
 
 @pytest.mark.parametrize(("row", "column"), [(0, 0), (60, 60), (60, 40), (3, 120), (129, 141), (100, 20)])

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from brdfpipe import store
 from brdfpipe.bsdf.nonspectral import nonspectral
 from brdfpipe.bsdf.registry import representation
+from brdfpipe.bsdf.table_nodes import TOLERANCE
 from brdfpipe.errors import InputError
 from brdfpipe.exchange import cell_means, number_text, records, window_xml
 from brdfpipe.exchange.read_table import ReadTable
@@ -52,6 +53,10 @@ _STEP = 0.75
 """Steps of azimuth that fill the patches of every ring, and lie at their centres [degree]"""
 _STEP_WIDTH = 1e-3
 """Half of the polar angle in which a table that is read changes from ring to ring [degree]."""
+_WITHIN_PATCHES = (
+    f"detail within the {PATCHES} patches of 5 to 15 degree, which the format fixes: they limit the error, and no option reduces it; "
+    "a tensor tree has finer cells"
+)
 _BASIS = "LBNL/Klems Full"
 Brdf = Callable[[Array, Array, Array, Array], Array]
 """Luminous values of pairs of directions"""
@@ -73,6 +78,8 @@ def write(bsdf: xr.Dataset, path: Path) -> records.Record:
     error = cell_means.table_error(bsdf, lambda *at: _lookup(means, *at[:4]), transmission=model.is_slab)
     stacked = np.stack(list(means.values()))[..., None]
     record = records.record(cell_means.CellTable(bsdf, stacked, error, "one value for each patch"), FORMAT)
+    if error.percentile_95 > TOLERANCE:
+        record["left_out"]["resolution"] = _WITHIN_PATCHES
     blocks = {
         name: window_xml.Block(
             f"<ColumnAngleBasis>{_BASIS}</ColumnAngleBasis><RowAngleBasis>{_BASIS}</RowAngleBasis>",

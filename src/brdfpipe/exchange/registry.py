@@ -45,6 +45,7 @@ LOSSES: Mapping[str, str] = {
     **PROPERTIES,
     "gamut": "colours outside sRGB",
     "reciprocity": "differences between both orders of the directions",
+    "resolution": "detail within the fixed cells of the format",
 }
 """What a record may say to be left out: keys of ``left_out`` in words."""
 
@@ -53,7 +54,8 @@ QUANTITIES = ("brdf", "brdf_cos", "pi_brdf")
 
 GRID_OPTIONS: Mapping[str, Any] = {"tolerance": 0.01, "albedo_tolerance": 0.001, "largest": 400_000}
 """Options of all formats on a grid of directions: limits of the error at the 95th percentile of directions, relative to BRDF·cos θ_o, and of
-the directional reflectance [1]; and the largest number of values of one channel, about 4 MB of text."""
+the directional reflectance [1]; and the largest number of values of one channel, about 4 MB of text: a file by wavelength is larger by the number
+of its wavelengths."""
 
 _OPTION_KINDS: Mapping[type, tuple[type, str]] = {
     bool: (bool, "true or false"),
