@@ -97,9 +97,9 @@ def _wavelengths(primary: xr.Dataset) -> list[Proposal]:
 
 
 def _incidences(primary: xr.Dataset, bsdf: xr.Dataset, entrances: Sequence[float]) -> list[Proposal]:
-    """The entrances that were not measured, with the stated error of the completed BSDF there beyond that of the measured ones."""
+    """The entrances that were not measured, with the stated error of the completed BSDF there, its median over directions, beyond that of the measured ones."""
     measured = primary["incidence"].values
-    theta, error = bsdf["theta_i"].values, bsdf["incidence_error"].values
+    theta, error = bsdf["theta_i"].values, bsdf["incidence_error"].median(("error_angle", "error_azimuth")).values
     known = float(np.median(np.interp(measured, theta, error)))
 
     def beyond(entrance: float) -> float:
