@@ -29,7 +29,7 @@ def plan(folder: Path, runs: str, side: str = "[reflection]") -> None:
     for old, new in (
         ("[10, 20, 30, 45, 60]", "[10, 45]"),
         ("{from: 390, to: 730, step: 10}", "[500, 600]"),
-        ("[etalon, sample]", runs),
+        ("[target, etalon, sample]", runs),
         ("[reflection]", side),
     ):
         assert old in text
