@@ -362,7 +362,8 @@ def test_the_warnings_of_the_cells_are_passed_on():
 @pytest.mark.parametrize("count", [1, 2, 6])
 def test_a_fit_of_few_cells_says_so(count):
     smoothed = smoothing.smooth(with_cells(rig_primary.measured(rig_primary.lobe("peak 10 sr-1, 3 degree")), count))
-    assert f"has only {count} cells with values" in smoothed.attrs["warnings"]
+    words = "1 cell with a value, which does" if count == 1 else f"{count} cells with values, which do"
+    assert f"has only {words} not tell" in smoothed.attrs["warnings"]
 
 
 def test_a_fit_without_a_cell_to_spare_says_so():
