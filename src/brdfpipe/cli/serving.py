@@ -80,6 +80,17 @@ def server(results: Path, port: int) -> ThreadingHTTPServer:
     return loopback_server(partial(_ResultsHandler, directory=str(results)), port)
 
 
+def serve_until_interrupted(running: ThreadingHTTPServer, page: str = "") -> int:
+    """Name the address of a page, serve until Ctrl+C, and return the exit code."""
+    with running:
+        click.echo(f"http://{LOOPBACK}:{running.server_address[1]}/{page} (Ctrl+C ends it)")
+        try:
+            running.serve_forever()
+        except KeyboardInterrupt:
+            return 0
+    return 0
+
+
 @click.command(short_help="Show RESULTS in a browser on this machine.")
 @click.argument("results", type=PRESENT)
 @click.option(
@@ -91,10 +102,4 @@ def serve(results: Path, port: int) -> int:
 
     No other machine can reach it. Pages also open without it, as files.
     """
-    with server(results, port) as running:
-        click.echo(f"http://{LOOPBACK}:{running.server_address[1]}/index.html (Ctrl+C ends it)")
-        try:
-            running.serve_forever()
-        except KeyboardInterrupt:
-            return 0
-    return 0
+    return serve_until_interrupted(server(results, port), "index.html")

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from brdfpipe.cli.console import FOLDER, exit_on_error
-from brdfpipe.cli.serving import LOOPBACK, is_local, loopback_server
+from brdfpipe.cli.serving import LOOPBACK, is_local, loopback_server, serve_until_interrupted
 
 if TYPE_CHECKING:
     from brdfpipe.report.rig.watch_page import RunPage
@@ -93,10 +93,4 @@ def watch(run: Path, port: int) -> int:
 
     The page is on the loopback address and changes nothing. The scan may run meanwhile, or be finished.
     """
-    with server(run, port) as running:
-        click.echo(f"http://{LOOPBACK}:{running.server_address[1]}/ (Ctrl+C ends it)")
-        try:
-            running.serve_forever()
-        except KeyboardInterrupt:
-            return 0
-    return 0
+    return serve_until_interrupted(server(run, port))

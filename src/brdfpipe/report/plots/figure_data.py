@@ -16,6 +16,8 @@ if TYPE_CHECKING:
     from brdfpipe.report.plots.svg import Mark
 
 UPPER, ERROR = "upper edge", "half length of the error bar"
+_THIRD = {"high": UPPER, "error": ERROR}
+"""Names of the third column of a mark, by its field."""
 
 
 def metadata(x: str, y: str, marks: Sequence[Mark]) -> str:
@@ -38,7 +40,7 @@ def metadata(x: str, y: str, marks: Sequence[Mark]) -> str:
         )
         before = across
         if len(rest) > 1:
-            fourth = ERROR if hasattr(mark, "error") else UPPER
+            fourth = _THIRD[mark.columns[2]]
     if not curves:
         return ""
     columns = json.dumps(["curve", x, y, *([fourth] if fourth else [])], ensure_ascii=False)
@@ -47,10 +49,7 @@ def metadata(x: str, y: str, marks: Sequence[Mark]) -> str:
 
 
 def _columns(mark: Mark) -> Iterator[Array]:
-    names = (
-        ("x", "y", "error") if hasattr(mark, "error") else ("x", "y") if hasattr(mark, "y") else ("x", "low", "high")
-    )
-    for name in names:
+    for name in mark.columns:
         values = _numbers(getattr(mark, name))
         if name != "error" or np.isfinite(values).any():
             yield values

@@ -10,7 +10,7 @@ from base64 import b64encode
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from io import BytesIO
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from markupsafe import Markup, escape
@@ -70,6 +70,9 @@ class Axis:
 class Line:
     """A curve; NaN breaks it."""
 
+    columns: ClassVar[tuple[str, ...]] = ("x", "y")
+    """Fields that are its data, see :mod:`brdfpipe.report.plots.figure_data`"""
+
     x: ArrayLike
     y: ArrayLike
     style: str = "c0"
@@ -81,6 +84,8 @@ class Line:
 class Points:
     """Points, with error bars where ``error`` is given and not NaN; points of NaN are not drawn."""
 
+    columns: ClassVar[tuple[str, ...]] = ("x", "y", "error")
+
     x: ArrayLike
     y: ArrayLike
     error: ArrayLike = np.nan
@@ -91,6 +96,8 @@ class Points:
 @dataclass(frozen=True)
 class Band:
     """The area between two curves over the same x."""
+
+    columns: ClassVar[tuple[str, ...]] = ("x", "low", "high")
 
     x: ArrayLike
     low: ArrayLike
