@@ -605,6 +605,11 @@ _FACETS = Kind(
 
 _CANDIDATE: Sequence[tuple[str, ...]] = [("candidate",)]
 
+MEASUREMENT = ("day", "rig", "calibrated", "certificate")
+"""Attributes of what a rig measured, kinds ``primary``, ``smoothed`` and ``bsdf``: the day and the rig, and the day and the certificate of the
+calibration. Of both sides of a sheet those of reflection come first."""
+
+
 KINDS: Mapping[str, Kind] = {
     "plan": Kind(
         {

@@ -39,7 +39,7 @@ def test_an_error_above_the_tolerance_names_the_option(saved: Path, tmp_path: Pa
     found = run("convert", saved, tmp_path / "grain.zemax.bsdf", "--tolerance", 1e-4, "--largest", 2000)
     assert found.exit_code == 0, found.output
     assert "MORE than the tolerance of 0.0001" in found.output
-    assert ": allow more values by the option `largest`" in found.output
+    assert ": `brdfpipe convert --largest` allows more values" in found.output
 
 
 @pytest.mark.parametrize(
@@ -63,7 +63,7 @@ def test_a_target_that_cannot_be_written_is_refused_before_the_source_is_read(
 def test_an_error_of_the_reflectance_alone_above_its_limit_is_named(saved: Path, tmp_path: Path) -> None:
     words = "--tolerance", 0.5, "--option", "albedo_tolerance=1e-9", "--largest", 2000
     found = run("convert", saved, tmp_path / "grain.zemax.bsdf", *words)
-    assert "MORE than the albedo_tolerance of 1e-09: allow more" in found.output
+    assert "MORE than the albedo_tolerance of 1e-09: `brdfpipe convert --largest` allows more" in found.output
     assert "that is MORE than the albedo_tolerance of 1e-09" in (tmp_path / "grain.zemax.bsdf").read_text()
 
 

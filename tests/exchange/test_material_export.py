@@ -33,7 +33,7 @@ def test_an_export_lists_its_files_with_their_digests_and_records(tmp_path: Path
     assert vocabulary.warnings(found) == []
 
 
-def test_a_refused_export_deletes_earlier_files_and_names_the_key_to_change(tmp_path: Path) -> None:
+def test_a_refused_export_deletes_earlier_files_and_says_why(tmp_path: Path) -> None:
     (tmp_path / "m.gltf").write_text("of an earlier BSDF")
     (tmp_path / "m.astm").write_text("of another format")
     found = export(samples.brushed_bsdf(0.4, 0.2), tmp_path, "m", "gltf", "reflection")
@@ -41,7 +41,6 @@ def test_a_refused_export_deletes_earlier_files_and_names_the_key_to_change(tmp_
     (reason,) = vocabulary.warnings(found)
     assert reason.startswith("export gltf not written: ")
     assert "lay" in reason
-    assert "`exports`" in reason
     assert json.loads(found.attrs["files"]) == {}
 
 

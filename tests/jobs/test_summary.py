@@ -30,7 +30,16 @@ def test_no_page_is_named_where_the_scene_makes_none() -> None:
 
 
 def test_a_refused_export_is_named_and_makes_a_build_fail() -> None:
-    summary = Summary(("a", "b"), (), {}, 1, None, 1.0, refused_exports={"a": "export gltf not written: a lay"})
+    summary = Summary(
+        ("a", "b"),
+        (),
+        {},
+        1,
+        None,
+        1.0,
+        refused_exports={"a": "export gltf not written: a lay", "b": "export mdl not written: a lay"},
+    )
     assert "  a: built, but export gltf not written: a lay" in summary.text
+    assert summary.text.count("take them out of `exports`") == 1
     assert summary.has_failed()
     assert not Summary(("a", "b"), (), {}, 1, None, 1.0).has_failed()

@@ -24,12 +24,8 @@ import numpy as np
 import xarray as xr
 
 from brdfpipe import store
-from brdfpipe.bsdf.change_variables import NOT_STATED
-from brdfpipe.bsdf.nonspectral import nonspectral
 from brdfpipe.bsdf.one_side import Side
 from brdfpipe.bsdf.registry import representation
-from brdfpipe.bsdf.source_changes import SourceChanges, in_quadrature, uncertain
-from brdfpipe.bsdf.table_error import fresh_pairs
 from brdfpipe.exchange import astm_rows, fixed_azimuths, gridded, number_text, records, sidecar_tables
 from brdfpipe.exchange.read_table import ReadTable
 from brdfpipe.exchange.registry import ExchangeError, Format
@@ -53,15 +49,12 @@ FORMAT = Format(
 )
 
 COLOURS = ("bw", "xyz", "spectral")
-_STATED_AT = np.array([20.0, 45.0, 60.0])
-"""Incidences at which the header states the uncertainty [degree]."""
 _DECIMALS = 5
 _VALUES: Mapping[Side, str] = {
     "reflection": "BRDF in sr-1, not multiplied by cos theta_s; angles in radian from the normal; mirror direction at phi_s = phi_i + pi",
     "transmission": f"{astm_rows.TRANSMITTED}, not multiplied by cos theta_s; angles in radian: theta_i from the normal of the front, theta_s from that of the other "
     "side, where the light leaves; undeviated light at theta_s = theta_i and phi_s = phi_i + pi",
 }
-_TEST_SEED = 4
 
 
 def write(bsdf: xr.Dataset, path: Path, *, colour: str = "bw", **grid: Any) -> records.Record:
@@ -108,11 +101,9 @@ def _write(bsdf: xr.Dataset, path: Path, side: Side, colour: str, grid: Mapping[
     if isinstance(table, fixed_azimuths.FixedAzimuths):
         turned = table.turned_error
         record["error"]["relative_azimuths"] = {"percentile_95": turned.percentile_95, "albedo": turned.albedo}
-    if "uncertainty" in record["left_out"]:
-        record["left_out"]["uncertainty"] = "the standard uncertainty of each row"
-    notes = [*records.sentences(record, _VALUES[side]), *_uncertainty(nonspectral(bsdf), side)]
+    notes = records.sentences(record, _VALUES[side])
     with store.atomic_path(path) as temporary, temporary.open("wb") as file:
-        file.write(_header(table, path.name, notes, rows).encode("ascii", "replace"))
+        file.write(_header(table, path.name, notes, rows, records.day_of(record, "unknown")).encode("ascii", "replace"))
         file.writelines(_rows(table))
     return record
 
@@ -134,7 +125,7 @@ def _table(bsdf: xr.Dataset, colour: str, grid: Mapping[str, Any]) -> gridded.Gr
     return gridded.gridded(bsdf, "uniform", channels, **{**grid, "largest": given // 2}).full_circle()
 
 
-def _header(table: gridded.Gridded, file: str, notes: list[str], rows: int) -> str:
+def _header(table: gridded.Gridded, file: str, notes: list[str], rows: int, day: str) -> str:
     names = ("Integrated",) if table.channels.names == ("photopic",) else table.channels.names
     lay = "NOT isotropic: the surface has a lay" if "phi_i" in table.axes else "isotropic"
     lines = {
@@ -144,7 +135,7 @@ def _header(table: gridded.Gridded, file: str, notes: list[str], rows: int) -> s
         "SAMPLE_NAME": str(table.bsdf.attrs.get("material", "unnamed")),
         "MEAS_NAME": "; ".join([*notes, lay]),
         "FILE_NAME": file,
-        "MEAS_DATE": "unknown",
+        "MEAS_DATE": day,
         "MEAS_TIME": "unknown",
     }
     text = "".join(f"{key} {' '.join(value.split())}\n" for key, value in lines.items())
@@ -180,38 +171,3 @@ def _angles(angles: Array) -> number_text.Bytes:
     while np.unique(np.round(radian, decimals)).size < angles.size:
         decimals += 1
     return number_text.texts([f"{angle:.{decimals}f}" for angle in radian])
-
-
-def _uncertainty(model: xr.Dataset, side: Side) -> list[str]:
-    """Relative standard uncertainty in the mirror direction, and over all directions of a side; none where no input has a known one."""
-    notes, evaluate = [], representation(model)
-    if uncertain(model):
-        changes, theta = SourceChanges.of(model), _STATED_AT
-        evaluate = changes.given
-        if side == "reflection":
-            mirror = theta, np.zeros_like(theta), theta, np.full_like(theta, 180.0), None
-            u = in_quadrature(changes.by_source(changes.of_brdf(*mirror)[..., 0]))
-            relative = _relative(u, evaluate.evaluate(*mirror)[:, 0])
-            listed = " ".join(f"{angle:g}:{value:.4f}" for angle, value in zip(theta, relative, strict=True))
-            sources = " and ".join(dict.fromkeys(changes.sources))
-            missing = str(model.attrs.get(NOT_STATED, ""))
-            unknown = f"; not known, and none assumed: {missing}" if missing else ""
-            notes.append(
-                f"relative standard uncertainty in the mirror direction, by theta_i in degree: {listed} (from {sources}{unknown})"
-            )
-    elif not evaluate.states_uncertainty:
-        return []
-    pairs = fresh_pairs(model, _TEST_SEED, incidences=6, views=64)
-    pairs = pairs.chosen((pairs.theta_o > 90) == (side == "transmission"))
-    u = np.sqrt(changes.variance(*pairs, None)) if uncertain(model) else evaluate.uncertainty(*pairs, None)
-    relative = _relative(u[:, 0], evaluate.evaluate(*pairs, None)[:, 0])
-    low, middle, high = np.quantile(relative, [0.05, 0.5, 0.95])
-    notes.append(
-        f"relative standard uncertainty at {relative.size} directions, half of them where the light goes: median {middle:.4f}, nine tenths of them {low:.4f} to "
-        f"{high:.4f}; of each direction in the dataset"
-    )
-    return notes
-
-
-def _relative(u: Array, value: Array) -> Array:
-    return np.divide(u, value, out=np.zeros_like(u), where=value > 0)

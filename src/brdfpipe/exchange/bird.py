@@ -54,13 +54,18 @@ _DEGREES = {"deg": 1.0, "°": 1.0, "rad": 180 / np.pi}
 _NANOMETRES = {"nm": 1.0, "μm": 1e3, "µm": 1e3}
 _UNPOLARISED = ("u", [1, 0, 0, 0])
 
+_NO_TIME = "1970-01-01T00:00:00Z"
+"""Where the time is not known; the default of ``timestamp``."""
+_OWN = ("digest", "measurement", "uncertainty", "left_out", "error")
+"""Parts of the record in the section of our own."""
+
 
 def write(
     bsdf: xr.Dataset,
     path: Path,
     *,
     spectral: bool = False,
-    timestamp: str = "1970-01-01T00:00:00Z",
+    timestamp: str = _NO_TIME,
     organization: str = _NOT_STATED,
     contact_person: str = _NOT_STATED,
     email: str = "not.stated@example.org",
@@ -73,7 +78,7 @@ def write(
     bsdf : kind ``bsdf``
     path : the file; it appears whole or not at all
     spectral : values for each wavelength of the BSDF instead of those weighted with V(λ) and D65
-    timestamp : of the measurement or simulation, ISO 8601; a fixed one by default, so that equal inputs give equal files
+    timestamp : of the measurement or simulation, ISO 8601; by default the day of the measurement, and a fixed one of what was not measured, so that equal inputs give equal files
     organization, contact_person, email : of the metadata, which need them
     grid : options of :func:`brdfpipe.exchange.gridded.gridded`
 
@@ -156,11 +161,11 @@ def _metadata(bsdf: xr.Dataset, record: records.Record, timestamp: str, named: M
         "schema": _SCHEMA,
         "id": f"urn:uuid:{identity}",
         "type": "BRDF",
-        "timestamp": timestamp,
+        "timestamp": timestamp if timestamp != _NO_TIME else records.day_of(record, _NO_TIME[:10]) + _NO_TIME[10:],
         "provenance": {**named, "location": address},
         "description": ". ".join(records.sentences(record)),
         "method": "measurement" if measured else "simulation",
-        "instrumentation": "NA",
+        "instrumentation": record.get("measurement", {}).get("rig", "NA"),
         "software": {"name": "brdfpipe", "description": f"representation {bsdf.attrs['representation']}"},
         "sample": {
             "name": record["material"],
@@ -170,7 +175,7 @@ def _metadata(bsdf: xr.Dataset, record: records.Record, timestamp: str, named: M
             "zero_azimuth_location": "the x axis of the sample; a surface without a lay has none",
         },
         "environment": "NA",
-        "adhoc_section": {"digest": record["digest"], "left_out": record["left_out"], "error": record["error"]},
+        "adhoc_section": {key: record[key] for key in _OWN if key in record},
     }
 
 

@@ -12,11 +12,6 @@ from brdfpipe.errors import BrdfpipeError
 from brdfpipe.exchange.registry import FORMATS
 from brdfpipe.store import canonical_json
 
-_ADVICE = (
-    "take the format out of `exports` of the material, the scene or the configuration, or name one with a table; options of a format: "
-    "`brdfpipe convert` with --option"
-)
-
 
 def export(bsdf: xr.Dataset, folder: Path, material: str, format: str, side: str) -> xr.Dataset:
     """Write the files of one side of a material; a refusal is a result and no error, so that the material is built without these files.
@@ -31,7 +26,7 @@ def export(bsdf: xr.Dataset, folder: Path, material: str, format: str, side: str
     Returns
     -------
     Dataset of kind ``export`` without variables. Attributes: ``format``, ``side``; ``files``, JSON {name: sha256}, empty of a refused one; ``records``, JSON
-    {name: record}, see :mod:`brdfpipe.exchange.records`; ``warnings``, the reason of a refusal and what to change
+    {name: record}, see :mod:`brdfpipe.exchange.records`; ``warnings``, the reason of a refusal
 
     Raises
     ------
@@ -48,7 +43,7 @@ def export(bsdf: xr.Dataset, folder: Path, material: str, format: str, side: str
         raise
     except BrdfpipeError as refusal:
         _delete(paths)
-        warnings = [f"{refused(format, side)}: {' '.join(str(refusal).split())}; {_ADVICE}"]
+        warnings = [f"{refused(format, side)}: {' '.join(str(refusal).split())}"]
     attributes = {
         "format": format,
         "side": side,

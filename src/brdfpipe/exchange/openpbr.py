@@ -104,7 +104,7 @@ def _document(found: Fitted, record: records.Record) -> str:
 def _sentences(record: records.Record) -> list[str]:
     error = record["error"]
     return [
-        f"brdfpipe: {record['material']}, digest of the BSDF {record['digest']}",
+        *records.heading(record),
         f"fitted: off by {error['median']:.0%} of BRDF cos theta_o (median) and {error['percentile_95']:.0%} (95th percentile) at {error['directions']} "
         f"directions, by {error['albedo']:.1%} of the directional reflectance, and by a CIEDE2000 of {error['delta_e_00']:.1f} off the lobe",
         *(f"NOT in this file: {text}" for text in record["left_out"].values()),

@@ -75,7 +75,7 @@ def write(bsdf: xr.Dataset, path: Path, *, largest_error: float, largest_delta_e
         raise ExchangeError(
             f"no formula describes this material: the nearest, {least['formula']}, is off by {least['error']['median']:.0%} of BRDF cos theta_o "
             f"(median), {least['error']['albedo']:.0%} of the reflectance and a CIEDE2000 of {least['error']['delta_e_00']:.1f} off the lobe: {least['refused']}; use the format of a table, "
-            "or raise the option `largest_error` or `largest_delta_e`"
+            "or raise `largest_error` or `largest_delta_e`, an `--option` of `brdfpipe convert`"
         )
     document = {
         **records.identity(bsdf),

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any, Literal, Protocol
 
 import numpy as np
 import xarray as xr
 
+from brdfpipe import vocabulary
 from brdfpipe.bsdf.base import Representation
 from brdfpipe.bsdf.registry import representation
-from brdfpipe.bsdf.source_changes import uncertain
 from brdfpipe.bsdf.table_error import Limits, TableError
-from brdfpipe.exchange.registry import Format
+from brdfpipe.exchange.registry import FORMATS, Format
+from brdfpipe.exchange.stated_uncertainty import known_uncertainty, uncertainty_in_words
 
 Content = Literal["luminous", "xyz", "rgb", "spectrum"]
 """What the values are: weighted with V(λ) and D65; X, Y and Z, or linear sRGB, under D65; or by wavelength."""
@@ -20,7 +22,10 @@ Content = Literal["luminous", "xyz", "rgb", "spectrum"]
 Record = dict[str, Any]
 """Plain values for JSON."""
 
-_NEGLIGIBLE_SHARE = 1e-6
+NEGLIGIBLE_SHARE = 1e-5
+"""Of light in a single direction: a four-thousandth of what the face of a plastic reflects at normal incidence; below it is the rounding of models of rough faces."""
+FINEST_WITH_LAY = "rgl"
+"""Of the formats with a lay that with the smallest error at equal size, because its nodes follow the lobe."""
 _STATED_AT = np.array([0.0, 20.0, 45.0, 60.0, 75.0])
 """Incidences at which the share of light in a single direction is stated [degree]."""
 
@@ -47,10 +52,12 @@ class Exported(Protocol):
 
 
 def record(table: Exported, format: Format, whole: xr.Dataset | None = None) -> Record:
-    """Material, digest, error and losses of a table; ``whole`` is the BSDF of which the table holds one side."""
+    """Material, digest, measurement, uncertainty, error and losses of a table; ``whole`` is the BSDF of which the table holds one side."""
     bsdf, error = table.bsdf if whole is None else whole, table.error
+    uncertainty = uncertainty_in_words(bsdf, table.bsdf.attrs.get("one_side", "reflection"))
     return {
         **identity(bsdf),
+        **({"uncertainty": uncertainty} if uncertainty else {}),
         "values": table.size,
         "error": {
             "percentile_95": three_digits(error.percentile_95),
@@ -58,33 +65,60 @@ def record(table: Exported, format: Format, whole: xr.Dataset | None = None) -> 
             "albedo": three_digits(error.albedo),
             "directions": error.directions,
             "reading": table.reading,
-            **_kept(error, table.limits),
+            **_kept(error, table.limits, format, representation(bsdf)),
         },
         "left_out": left_out(bsdf, format, table.content),
     }
 
 
-def _kept(error: TableError, limits: Limits | None) -> Record:
-    """Whether an error keeps its limits, and those that it exceeds, option → limit."""
+def _kept(error: TableError, limits: Limits | None, format: Format, model: Representation) -> Record:
+    """Whether an error keeps its limits; those that it exceeds, option → limit, and of a lay the format with the smallest error."""
     if limits is None:
         return {}
     exceeded = limits.exceeded(error)
-    return {"within_tolerance": not exceeded, **({"exceeded": exceeded} if exceeded else {})}
+    found: Record = {"within_tolerance": not exceeded}
+    if exceeded:
+        found["exceeded"] = exceeded
+    # A module's own declaration has no name yet.
+    if exceeded and not model.isotropic and replace(format, name=FINEST_WITH_LAY) != FORMATS[FINEST_WITH_LAY]:
+        found["finer_format"] = FINEST_WITH_LAY
+    return found
 
 
 def identity(bsdf: xr.Dataset) -> Record:
-    """Material and digest."""
+    """Material and digest; of a measured BSDF also its measurement, see :data:`brdfpipe.vocabulary.MEASUREMENT`."""
+    measurement = {name: str(bsdf.attrs[name]) for name in vocabulary.MEASUREMENT if name in bsdf.attrs}
     return {
         "material": str(bsdf.attrs.get("material", "unnamed")),
         "digest": str(bsdf.attrs.get("digest", "unknown")),
+        **({"measurement": measurement} if measurement else {}),
     }
 
 
 def comment(bsdf: xr.Dataset) -> str:
-    """Material and digest in one line."""
-    return (
-        f"brdfpipe: {bsdf.attrs.get('material', 'unnamed')}, digest of the BSDF {bsdf.attrs.get('digest', 'unknown')}"
-    )
+    """Material, digest and measurement in one line."""
+    return "; ".join(heading(identity(bsdf)))
+
+
+def heading(record: Mapping[str, Any]) -> list[str]:
+    """What a record says of the BSDF itself, the first sentences of a file."""
+    named = f"brdfpipe: {record['material']}, digest of the BSDF {record['digest']}"
+    measurement = record.get("measurement", {})
+    if not measurement:
+        return [named]
+    words = {
+        "day": "on",
+        "rig": "by the rig",
+        "calibrated": "calibrated on",
+        "certificate": "by an etalon with the certificate",
+    }
+    parts = [f"{words[name]} {measurement[name]}" for name in vocabulary.MEASUREMENT if name in measurement]
+    return [named, f"measured {', '.join(parts)}"]
+
+
+def day_of(record: Mapping[str, Any], unknown: str) -> str:
+    """The day of the measurement, of a sheet that of reflection, ISO 8601; ``unknown`` of a BSDF that was not measured."""
+    return str(record.get("measurement", {}).get("day", unknown)).partition(",")[0]
 
 
 _CONTENTS: Mapping[Content, str] = {
@@ -108,9 +142,10 @@ def sentences(record: Record, values: str = VALUES["reflection"]) -> list[str]:
         f"BRDF cos theta_o at the 95th percentile, {error['albedo']:.2%} of the directional reflectance"
     )
     return [
-        f"brdfpipe: {record['material']}, digest of the BSDF {record['digest']}",
+        *heading(record),
         values,
         f"{stated}; that is {more}" if (more := _more_than(error)) else stated,
+        *record.get("uncertainty", ()),
         *(f"NOT in this file: {text}" for text in record["left_out"].values()),
     ]
 
@@ -167,8 +202,11 @@ def _stated(error: Mapping[str, Any], refused: str, finer: bool) -> str:
         parts.append(f"{error['peak']:.2%} of the BRDF in the mirror direction")
     if "delta_e_00" in error:
         parts.append(f"a colour difference of {error['delta_e_00']:.1f} (ΔE00) off the lobe")
-    advice = ": allow more values by the option `largest`" if finer else ""
     more = _more_than(error)
+    ways = ["`brdfpipe convert --largest` allows more values"] if finer else []
+    if "finer_format" in error:
+        ways.append(f"the format `{error['finer_format']}` errs least with a lay")
+    advice = f": {', '.join(ways)}" if ways else ""
     end = f"; {more}{advice}" if more else ""
     return f"error {', '.join(parts)}{end}" + (f"; not written: {refused}" if refused else "")
 
@@ -192,8 +230,8 @@ def left_out(bsdf: xr.Dataset, format: Format, content: Content) -> dict[str, st
         lost["spectrum"] = f"the spectrum: the values are {_CONTENTS[content]}"
     if "specular" not in format.carries and (text := specular_shares(model)):
         lost["specular"] = text
-    if (uncertain(bsdf) or model.states_uncertainty) and "uncertainty" not in format.carries:
-        lost["uncertainty"] = "standard uncertainties"
+    if known_uncertainty(bsdf) and "uncertainty" not in format.carries:
+        lost["uncertainty"] = "the standard uncertainty of each value"
     if model.uses_index and "polarisation" not in format.carries:
         lost["polarisation"] = "polarisation: the values are of unpolarised light"
     return lost
@@ -204,7 +242,7 @@ def specular_shares(model: Representation) -> str:
     shares = [part.mean(axis=-1) for part in model.specular(_STATED_AT, np.zeros_like(_STATED_AT), None)]
     texts = []
     for share, words in zip(shares, ("mirrored", "transmitted undeviated"), strict=True):
-        if share.max() > _NEGLIGIBLE_SHARE:
+        if share.max() > NEGLIGIBLE_SHARE:
             listed = " ".join(f"{angle:g}:{value:.6f}" for angle, value in zip(_STATED_AT, share, strict=True))
             texts.append(f"the share {words} into a single direction, by theta_i in degree: {listed}")
     return "; ".join(texts)

@@ -67,6 +67,12 @@ _OPTION_KINDS: Mapping[type, tuple[type, str]] = {
 LISTED = "`brdfpipe formats` lists the formats"
 """Where a message would be too long with all of them."""
 
+REFUSAL_ADVICE = (
+    "Refused formats: take them out of `exports` of the material, the scene or the configuration, name one with a table, give options to "
+    "`brdfpipe convert`, or accept the refusal by `accept` in material.yaml"
+)
+"""What to change, said once for all refusals of a build or a page."""
+
 _COMMON_SUFFIXES = (".zemax.bsdf", ".ddr", ".astm", ".nc")
 
 RECORD = ".json"

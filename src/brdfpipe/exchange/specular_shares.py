@@ -120,9 +120,9 @@ def stated_beside(table: Path) -> tuple[str, ...]:
     if path == table or not path.is_file():
         return ()
     found = read(path)
-    if not found.values.any():
-        return ()
     mean = found.values.mean(axis=1)
+    if mean.max() <= records.NEGLIGIBLE_SHARE:
+        return ()
     listed = ", ".join(f"{np.interp(angle, found.theta_i, mean):.4f} at {angle:g}°" for angle in _STATED_AT)
     return (
         f"{path.name} beside the table sends light into a single direction, a share of {listed}: no table holds it, so gloss and the "

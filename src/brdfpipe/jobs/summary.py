@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 
 from brdfpipe.catalogue.catalogue import ignored
 from brdfpipe.errors import BrdfpipeError
+from brdfpipe.exchange.registry import REFUSAL_ADVICE
 from brdfpipe.jobs.cleanup import STALE
 from brdfpipe.store import opened
 
@@ -90,6 +91,7 @@ class Summary:
                 counts,
                 *not_built,
                 *(f"  {name}: built, but {reason}" for name, reason in sorted(self.refused_exports.items())),
+                *([f"  {REFUSAL_ADVICE}"] if self.refused_exports else []),
                 *self._verdict_lines,
                 *over_budget,
                 *self.notices,

@@ -104,6 +104,7 @@ def complete(
         "transmission": "none" if transmitted is None else "slab",
         "isotropic": "true" if isotropic else "false",
     }
+    attrs |= _measurement(smoothed, transmitted)
     if transmitted is not None:
         attrs["transmitted_basis"] = transmitted.attrs["basis"]
     entrances = np.unique(np.concatenate([side["incidence"].values for side in sides]))
@@ -121,6 +122,15 @@ def complete(
     if bsdf.attrs["reciprocity"] == "averaged":
         bsdf = _with_incidence_error(bsdf)
     return vocabulary.validate(bsdf, "bsdf")
+
+
+def _measurement(*sides: xr.Dataset | None) -> dict[str, str]:
+    """Day, rig and calibration of the sides, each named once."""
+    stated = {
+        name: dict.fromkeys(str(side.attrs[name]) for side in sides if side is not None and name in side.attrs)
+        for name in vocabulary.MEASUREMENT
+    }
+    return {name: ", ".join(values) for name, values in stated.items() if values}
 
 
 def is_isotropic(dataset: xr.Dataset) -> bool:

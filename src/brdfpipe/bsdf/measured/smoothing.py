@@ -149,6 +149,7 @@ def smooth(
     attrs = {name: primary.attrs[name] for name in ("history", "warnings") if name in primary.attrs}
     attrs |= {"mode": mode, "link": link, "about": about, "basis": bases.to_json(basis), "side": side}
     attrs |= {"isotropic": "true" if isotropic else "false"}
+    attrs |= {name: primary.attrs[name] for name in vocabulary.MEASUREMENT if name in primary.attrs}
     smoothed = _with_notes(_dataset(primary, fits).assign_attrs(attrs), fits, strength)
     if mode == "keldysh":
         smoothed = vocabulary.add_warning(smoothed, *_undetermined(primary["incidence"].values, forms, cells))

@@ -9,9 +9,9 @@ from typing import Any
 import xarray as xr
 
 from brdfpipe import vocabulary
-from brdfpipe.appearance.verdicts import check_verdicts, json_object
+from brdfpipe.appearance.verdicts import check_verdicts, json_object, refused_exports
 from brdfpipe.exchange.records import errors_in_brief
-from brdfpipe.exchange.registry import FORMATS, LOSSES
+from brdfpipe.exchange.registry import FORMATS, LOSSES, REFUSAL_ADVICE
 from brdfpipe.report.cards import Section, Table
 from brdfpipe.report.formatting import quantity
 from brdfpipe.texture.file_names import MAP_FILES
@@ -61,6 +61,8 @@ def exports_table(datasets: Mapping[str, xr.Dataset], name: str) -> Table | None
     if "readings" in datasets:
         rows.append((f"{name}.readings.csv", "", "readings of instruments beside their predictions", "", ""))
     note = "In the folder `exports`. A `.json` beside a file states the error of the file against the BSDF, measured off its nodes."
+    if refused_exports(datasets):
+        note += f" {REFUSAL_ADVICE}."
     headings = "Files", "Side", "Description", "Error", "Not in the file"
     return Table("Exported files", headings, rows, note) if rows else None
 
