@@ -3,20 +3,28 @@
 from __future__ import annotations
 
 import json
+import re
+import tracemalloc
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pytest
+import rig_primary
 import samples
 import xarray as xr
 
 from brdfpipe import facets, flakes, optics, psd
 from brdfpipe.bsdf import flake, microfacet, slab, wave
 from brdfpipe.bsdf.lambert_gauss import lambertian
+from brdfpipe.bsdf.measured.completion import complete
+from brdfpipe.bsdf.measured.smoothing import smooth
 from brdfpipe.bsdf.registry import representation
 from brdfpipe.bsdf.table_error import error_of, fresh_pairs
+from brdfpipe.errors import InputError
+from brdfpipe.exchange import records
+from brdfpipe.exchange.read_table import ReadTable, as_bsdf
 from brdfpipe.exchange.reading import read
 from brdfpipe.exchange.registry import FORMATS, LOSSES, WRITTEN, ExchangeError
 
@@ -42,6 +50,18 @@ KINDS: dict[str, Callable[[], xr.Dataset]] = {
     "diffuser": lambda: lambertian(samples.spectrum(0.5)),
     "black": lambda: lambertian(samples.spectrum(0.0)),
     "gloss alone": lambda: samples.beckmann_bsdf(0.3, n=1.5, reflectance=None),
+    "measured": lambda: complete(
+        smooth(rig_primary.measured(rig_primary.lobe("metallic, lobe of 14 degree"), (0.0, 30.0, 60.0), (500.0, 600.0)))
+    ),
+    "imported": lambda: as_bsdf(
+        ReadTable(
+            "uniform",
+            {"theta_i": np.array([0.0, 80.0]), "theta_o": np.array([0.0, 45.0, 90.0]), "phi_o": np.array([0.0, 180.0])},
+            np.full((2, 3, 2, 1), 0.1) * [[[[1.0]], [[0.8]], [[0.5]]]],
+            channels="photopic",
+        ),
+        Path("grey.csv"),
+    ),
     "metal": lambda: microfacet.build(facets.analytic("ggx", 0.4), index=optics.refractive_index({"n": 0.4, "k": 2.8})),
 }
 
@@ -110,9 +130,52 @@ def _exports(name: str, kind: str, folder: Path) -> None:
         assert ("lay" in lost) == (not representation(bsdf).isotropic and "lay" not in declared.carries)
         assert ("transmission" in lost) == (transmits and "transmission" not in declared.carries)
         model, normal = representation(bsdf), np.zeros(1)
-        mirrors = max(float(part.max()) for part in model.specular(normal, normal, None)) > 1e-6
+        mirrors = max(float(part.max()) for part in model.specular(normal, normal, None)) > records.NEGLIGIBLE_SHARE
         assert mirrors or "specular" not in lost
         assert not mirrors or "specular" in lost or "specular" in declared.carries
+
+
+def _list(count: int, last: float) -> str:
+    return " ".join(f"{angle:.4f}" for angle in np.linspace(0.0, last, count))
+
+
+_MANY = 1000
+_GRIDS = {
+    "zemax": (
+        {r"(AngleOfIncidence).*\n.*": 85.0, r"(ScatterAzimuth).*\n.*": 180.0, r"(ScatterRadial).*\n.*": 180.0},
+        "{key}  {count}\n{angles}",
+    ),
+    "integra": ({r"(sigma).*\n.*": 85.0, r"(phi).*\n.*": 180.0, r"(theta) .*\n.*": 180.0}, "{key} {count}\n{angles}"),
+    "lighttools": ({r"(ScatterAzimuth).*\n.*": 360.0, r"(ScatterRadial).*\n.*": 89.5}, "{key} 1000000000\n{angles}"),
+    "ssdd": (
+        {r"(PARAM0_LIST).*": 85.0, r"(PARAM2_LIST).*": 180.0, r"(PARAM3_LIST).*": 180.0},
+        "{key} {angles}",
+    ),
+}
+"""Lists of angles of a header, their last angle, and how each is written."""
+
+
+@pytest.mark.parametrize("name", _GRIDS)
+def test_a_header_that_claims_a_milliard_cells_is_refused_before_memory_is_taken(name: str, tmp_path: Path) -> None:
+    coarse = {"tolerance": 0.9, "albedo_tolerance": 0.9, "largest": 2000}
+    FORMATS[name].write(material("grey"), tmp_path / "x", **coarse)
+    file = tmp_path / f"x{FORMATS[name].suffixes('reflection')[0]}"
+    text, (lists, written) = file.read_text(), _GRIDS[name]
+    for pattern, last in lists.items():
+
+        def claimed(found: re.Match[str], last: float = last) -> str:
+            return written.format(key=found[1], count=_MANY, angles=_list(_MANY, last))
+
+        text, count = re.subn(rf"(?m)^{pattern}$", claimed, text, count=1)
+        assert count == 1
+    file.write_text(text)
+    tracemalloc.start()
+    try:
+        with pytest.raises(InputError):
+            read(file, name)
+        assert tracemalloc.get_traced_memory()[1] < 50e6
+    finally:
+        tracemalloc.stop()
 
 
 @pytest.mark.parametrize("name", WRITTEN)
