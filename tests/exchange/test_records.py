@@ -101,7 +101,7 @@ def test_a_lay_that_exceeds_its_tolerance_is_sent_to_the_format_that_errs_least(
     bsdf = samples.brushed_bsdf(0.4, 0.2) if with_lay else samples.beckmann_bsdf(0.1)
     record = records.record(Written(bsdf), replace(FORMATS[name], name=""))
     (text,) = records.errors_in_words(record)
-    assert ("the format `rgl` errs least with a lay" in text) == advised
+    assert ("`rgl`, whose nodes follow the lobe, errs less with a lay" in text) == advised
     assert "MORE than the tolerance of 0.01" in text
     assert "`brdfpipe convert --largest` allows more values" in text
 

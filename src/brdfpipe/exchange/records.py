@@ -205,7 +205,7 @@ def _stated(error: Mapping[str, Any], refused: str, finer: bool) -> str:
     more = _more_than(error)
     ways = ["`brdfpipe convert --largest` allows more values"] if finer else []
     if "finer_format" in error:
-        ways.append(f"the format `{error['finer_format']}` errs least with a lay")
+        ways.append(f"`{error['finer_format']}`, whose nodes follow the lobe, errs less with a lay in most cases")
     advice = f": {', '.join(ways)}" if ways else ""
     end = f"; {more}{advice}" if more else ""
     return f"error {', '.join(parts)}{end}" + (f"; not written: {refused}" if refused else "")
