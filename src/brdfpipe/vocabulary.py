@@ -410,6 +410,12 @@ QUANTITIES: Mapping[str, Quantity] = {
     "graininess": Quantity("1", "rms contrast of the pattern of a picture that an eye sees at the distance stated", 0),
     "tile_sparkle_density": Quantity("mm-2", "sparkles of a texture per area", 0),
     "tile_graininess": Quantity("1", "the same rms contrast of a texture", 0),
+    "level_pixel": Quantity("um", "side of a pixel of a texture that was tried for a viewing distance", 0),
+    "level_difference": Quantity(
+        "1",
+        "largest rms difference, over the mean, of the light that an eye sees with this pixel and with the finest",
+        0,
+    ),
     "unresolved_share": Quantity(
         "1", "share of the mean square slope that the pixels of a texture do not resolve", 0, 1
     ),
@@ -802,6 +808,7 @@ KINDS: Mapping[str, Kind] = {
             "height": [("y", "x")],
             **{key: [("texture_frequency",)] for key in ("sample_psd", "tile_psd")},
             **dict.fromkeys(("unresolved_share", "split_difference"), SCALAR),
+            "level_difference": [("level_pixel",)],
             **{key: [(), ("geometry",)] for key in ("spectrum_difference", "value_difference", "slope_difference")},
             "relative_light": [("geometry", "y", "x")],
             "sample_contrast_psd": [("geometry", "texture_frequency")],

@@ -10,7 +10,8 @@ import xarray as xr
 
 from brdfpipe import facets, vocabulary
 from brdfpipe.texture.grain import grain
-from brdfpipe.texture.scan_texture import facets_of, map_slopes, of_scan, resolved_size
+from brdfpipe.texture.level_of_detail import NOTICEABLE
+from brdfpipe.texture.scan_texture import facets_of, map_slopes, of_scan
 
 
 @pytest.fixture(scope="module")
@@ -46,25 +47,21 @@ def test_the_mean_squares_of_its_spectrum_are_those_of_its_heights(texture):
     assert variance == pytest.approx(float(texture["height"].var()), rel=0.15)
 
 
-def test_what_an_eye_resolves_is_a_minute_of_arc():
-    assert resolved_size(1.0) == pytest.approx(291, abs=1)
-
-
 def test_a_larger_distance_moves_slopes_from_the_map_to_the_brdf(scan):
-    """A pixel of 3 µm is resolved at 1 cm, of 6 µm at 2 cm."""
     shares = []
-    for distance in (0.005, 0.01, 0.02, 0.04):
+    for distance in (0.002, 0.6, 2.0):
         texture = of_scan(*scan, pixel=2.0, size=64, distance=distance)
-        assert texture.attrs["pixel"] == pytest.approx(max(2.0, resolved_size(distance)))
+        assert texture.attrs["pixel"] == pytest.approx(float(texture["level_pixel"][-1]))
+        assert float(texture["level_difference"][-1]) <= NOTICEABLE
         shares.append(float(texture["unresolved_share"]))
     assert shares == sorted(shares)
     assert shares[-1] > shares[0] + 0.1
 
 
-def test_a_distance_from_which_the_scan_is_too_small_is_warned_of(scan):
-    texture = of_scan(*scan, pixel=2.0, size=64, distance=1.0)
-    assert texture.attrs["pixel"] == pytest.approx(512 / 32)
-    assert any("needs no map" in text for text in vocabulary.warnings(texture))
+def test_a_distance_from_which_no_pixel_is_seen_is_warned_of(scan):
+    texture = of_scan(*scan, pixel=2.0, size=64, distance=5.0)
+    assert texture.attrs["pixel"] == pytest.approx(16.0)
+    assert any("may need no map" in text for text in vocabulary.warnings(texture))
 
 
 def test_bins_keep_the_covariance_of_the_slopes(texture):

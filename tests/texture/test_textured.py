@@ -70,7 +70,11 @@ def test_a_place_is_bright_where_its_normal_mirrors_the_light(gaussian):
 def test_the_accessor_of_a_bsdf_evaluates_with_places(gaussian):
     full, texture, rest = gaussian
     at = 45.0, 20.0, 30.0, 200.0, [10.0, 20.0], 5.0
-    assert full.bsdf.textured(texture, rest).evaluate(*at).equals(Textured(full, texture, rest).evaluate(*at))
+    wanted = Textured(full, texture, rest).evaluate(*at)
+    assert full.bsdf.textured(texture, rest).evaluate(*at).equals(wanted)
+    assert full.bsdf.evaluate(*at[:4], x=at[4], y=at[5], texture=texture, rest=rest).equals(wanted)
+    with pytest.raises(VocabularyError, match="missing: y, texture"):
+        full.bsdf.evaluate(*at[:4], x=1.0)
 
 
 def test_tiles_repeat(gaussian):

@@ -61,7 +61,17 @@ class BSDFAccessor:
         return sys.modules["brdfpipe"].texture.Textured(self._dataset, texture, rest)
 
     def evaluate(
-        self, theta_i: ArrayLike, phi_i: ArrayLike, theta_o: ArrayLike, phi_o: ArrayLike, wavelength: Wavelengths = None
+        self,
+        theta_i: ArrayLike,
+        phi_i: ArrayLike,
+        theta_o: ArrayLike,
+        phi_o: ArrayLike,
+        wavelength: Wavelengths = None,
+        *,
+        x: ArrayLike | None = None,
+        y: ArrayLike | None = None,
+        texture: xr.Dataset | None = None,
+        rest: xr.Dataset | None = None,
     ) -> xr.DataArray:
         """BRDF or BTDF.
 
@@ -70,16 +80,23 @@ class BSDFAccessor:
         theta_i, phi_i, theta_o, phi_o : degree; 0 <= θ <= 180, θ_o > 90 is transmission. Plain arrays broadcast as in numpy
             (they are paired, not crossed) into the dimension ``direction``; DataArrays broadcast by dimension name
         wavelength : nm; by default the dataset's own. A BSDF that does not depend on wavelength accepts any
+        x, y : places of the surface [um], in pairs that broadcast with the directions, on the visible structure of ``texture`` and ``rest``
+            (:meth:`textured`); by default the mean over the surface
 
         Returns
         -------
         DataArray ``brdf`` [sr-1], with ``wavelength`` as the last dimension if it depends on wavelength. At the horizon, and on a
-        side that the BSDF does not describe, it is 0
+        side that the BSDF does not describe, it is 0. Of places it has the dimension ``place``
 
         Raises
         ------
-        VocabularyError : an angle is out of range or in radians, or a wavelength is outside the data.
+        VocabularyError : an angle is out of range or in radians, or a wavelength is outside the data; or only some of x, y and texture are given.
         """
+        if not (x is None and y is None and texture is None):
+            if x is None or y is None or texture is None:
+                missing = ", ".join(name for name, one in (("x", x), ("y", y), ("texture", texture)) if one is None)
+                raise VocabularyError(f"places need x, y and texture; missing: {missing}")
+            return self.textured(texture, rest).evaluate(theta_i, phi_i, theta_o, phi_o, x, y, wavelength)
         text = "bidirectional reflectance distribution function"
         angles = _directions(theta_i, phi_i, theta_o, phi_o)
         return self._labelled(self._representation.evaluate, angles, wavelength, "brdf", text, "sr-1")

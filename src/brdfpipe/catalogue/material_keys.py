@@ -902,7 +902,7 @@ class ScanTexture(Keys):
         gt=0,
         le=10_000,
         example=10,
-        details="A scene with a `viewing_distance` makes it coarser.",
+        details="A scene with a `viewing_distance` may make it coarser.",
     )
     size: Annotated[int, WHOLE] = key("pixels along either side of the map", default=512, ge=32, le=4096)
     method: Annotated[str, OneOf(("spectrum", "structure"))] = key(

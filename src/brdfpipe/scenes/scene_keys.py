@@ -83,7 +83,7 @@ class SceneKeys(Keys):
         details="See [veiling glare](veiling-glare.md).",
     )
     viewing_distance: float = key(
-        "for `texture`: distance from which the material is seen; the pixels of its texture are then what an eye resolves there, one minute of arc",
+        "for `texture`: distance from which the material is seen; the pixel of its texture is then the coarsest with the contrast that an eye sees there",
         unit="m",
         default_words="the pixel that the material names",
         gt=0,

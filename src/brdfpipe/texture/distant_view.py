@@ -13,8 +13,9 @@ from brdfpipe.bsdf.registry import representation
 from brdfpipe.errors import BrdfpipeError
 from brdfpipe.geometry import Array
 from brdfpipe.spectra import colorimetry
+from brdfpipe.texture.level_of_detail import eye_blur, resolved_size
 from brdfpipe.texture.picture_texture import DIFFUSE
-from brdfpipe.texture.scan_texture import normals_of, resolved_size
+from brdfpipe.texture.scan_texture import normals_of
 from brdfpipe.texture.textured import Textured
 
 LIGHTS = ("spot", "diffuse")
@@ -70,7 +71,7 @@ def structure_preview(
     textured = Textured(nonspectral(bsdf), texture, None if rest is None else nonspectral(rest))
     tile = _under_spot(textured, texture) if light == "spot" else _in_diffuse_light(texture, rest)
     tile = tile / tile.mean()
-    seen = _seen(tile, float(texture.attrs["pixel"]), resolved_size(distance), side)
+    seen = _seen(tile, float(texture.attrs["pixel"]), distance, side)
     wavelengths, channels = channels_of(bsdf, illuminant)
     model = representation(bsdf)
     # Relative to a perfect diffuser, of a BRDF of 1/π and an albedo of 1.
@@ -120,13 +121,11 @@ def _in_diffuse_light(texture: xr.Dataset, rest: xr.Dataset | None) -> Array:
     return np.asarray(texture["relative_light"].sel(geometry=DIFFUSE).values, dtype=float)
 
 
-def _seen(tile: Array, pixel: float, eye: float, side: int) -> Array:
-    """(side, side) values of a periodic tile, blurred by an eye [um] and sampled at the pixels of the picture."""
+def _seen(tile: Array, pixel: float, distance: float, side: int) -> Array:
+    """(side, side) values of a periodic tile, as an eye sees them at a distance [m], at the pixels of the picture."""
     from scipy.ndimage import map_coordinates
 
-    sigma = eye / np.sqrt(8 * np.log(2)) / pixel
-    frequency = np.hypot(np.fft.rfftfreq(tile.shape[1]), np.fft.fftfreq(tile.shape[0])[:, None])
-    blurred = np.fft.irfft2(np.fft.rfft2(tile) * np.exp(-2 * (np.pi * sigma * frequency) ** 2), s=tile.shape)
-    at = (np.arange(side) + 0.5) * eye / _PIXELS_PER_EYE / pixel - 0.5
+    blurred = eye_blur(tile, pixel, distance)
+    at = (np.arange(side) + 0.5) * resolved_size(distance) / _PIXELS_PER_EYE / pixel - 0.5
     rows, columns = np.meshgrid(at, at, indexing="ij")
     return np.asarray(map_coordinates(blurred, [rows, columns], order=1, mode="grid-wrap"))

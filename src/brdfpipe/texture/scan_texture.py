@@ -8,19 +8,12 @@ import xarray as xr
 from brdfpipe import vocabulary
 from brdfpipe.geometry import Array
 from brdfpipe.texture.grain import grain
-from brdfpipe.texture.height_pixels import central_slopes, largest_pixel, pixel_heights, unit_normals
+from brdfpipe.texture.height_pixels import central_slopes, pixel_heights, unit_normals
+from brdfpipe.texture.level_of_detail import NOTICEABLE, levels_of_detail
 from brdfpipe.texture.slope_split import INTERPOLATIONS, MapSlopes, binned_slopes, interpolated_slopes
 from brdfpipe.texture.synthesis import METHODS, ring_spectra
 
-EYE_RESOLVES = 1 / 60
-"""Angle that an eye of normal acuity resolves [degree] (visual acuity 1.0, ISO 8596)."""
-
 _FACET_VARIABLES = ("slope_density", "D", "lambda_smith", "slope_rms", "anisotropy", "lay")
-
-
-def resolved_size(distance: float) -> float:
-    """Side of what an eye resolves at a viewing distance [m], in um."""
-    return float(1e6 * distance * np.radians(EYE_RESOLVES))
 
 
 def of_scan(
@@ -39,25 +32,27 @@ def of_scan(
     Parameters
     ----------
     surface, facets, pixel, size, method, seed, interpolation : as :func:`brdfpipe.texture.grain.grain` takes them
-    distance : viewing distance [m]. The pixel is then what an eye resolves there, and ``pixel`` the finest one
+    distance : viewing distance [m]. The pixel is then the coarsest whose contrast an eye there does not distinguish from that of ``pixel``, the finest one
+        (:func:`brdfpipe.texture.level_of_detail.levels_of_detail`)
 
     Returns
     -------
     Dataset of kind ``texture``: ``height(y, x)`` [um], the first row at the lowest y; ``sample_psd`` and ``tile_psd`` [um4] over ``texture_frequency``;
-    the variables of kind ``facets`` of what the pixels do not resolve (:func:`facets_of`); and the figures of the split and of the likeness
+    the variables of kind ``facets`` of what the pixels do not resolve (:func:`facets_of`); the figures of the split and of the likeness; and of a viewing
+    distance ``level_difference(level_pixel)`` [1], ``level_pixel`` [um], the chosen one last
 
     Raises
     ------
     BrdfpipeError, VocabularyError : as :func:`brdfpipe.texture.grain.grain`.
     """
-    warnings = []
+    levels, warnings = [], []
     if distance is not None:
-        wanted, most = max(pixel, resolved_size(distance)), largest_pixel(surface)
-        pixel = min(wanted, most)
-        if pixel < wanted:
+        levels = levels_of_detail(surface, facets, finest=pixel, distance=distance, interpolation=interpolation)
+        pixel = levels[-1].pixel
+        if len(levels) == 1 and levels[0].difference <= NOTICEABLE:
             warnings.append(
-                f"at {distance:g} m an eye resolves {wanted:.0f} um, and the scan is too small for a map of pixels above {most:.3g} um: at that distance the "
-                "BRDF of all facets needs no map"
+                f"at {distance:g} m an eye sees with pixels of {pixel:.3g} um, the coarsest for a scan of this size, the contrast of the finest: at that "
+                "distance the BRDF of all facets may need no map"
             )
     found = grain(surface, facets, pixel, size=size, method=method, seed=seed, interpolation=interpolation)
     sample, _ = pixel_heights(surface, pixel)
@@ -75,8 +70,10 @@ def of_scan(
             "value_difference": found.likeness.heights,
             "slope_difference": found.likeness.slopes,
             **{name: found.facets[name].variable for name in of_rest},
+            **({"level_difference": ("level_pixel", [one.difference for one in levels])} if levels else {}),
         },
         coords={"x": positions, "y": positions, "texture_frequency": frequency / pixel}
+        | ({"level_pixel": [one.pixel for one in levels]} if levels else {})
         | {name: found.facets[name].variable for name in found.facets.coords},
         attrs={
             "source": "scan",
@@ -85,7 +82,8 @@ def of_scan(
             "seed": seed,
             "interpolation": interpolation,
             "band": str(found.facets.attrs["band"]),
-        },
+        }
+        | ({} if distance is None else {"viewing_distance": distance}),
     )
     return vocabulary.add_warning(vocabulary.label(texture, "texture"), *warnings, *found.warnings)
 

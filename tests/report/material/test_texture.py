@@ -39,6 +39,15 @@ def test_a_grain_has_its_tile_its_spectrum_and_its_figures(grain):
     assert rows["Map with the rest, from afar"] == "1.2 %"
 
 
+def test_a_viewing_distance_has_the_pixels_that_were_tried():
+    surface = samples.surface(relief_maps.gaussian(0.1, 256, 1, 8.0))
+    texture = of_scan(surface, facets.estimate(surface), pixel=2.0, size=64, distance=0.7)
+    table = texture_section({"texture": texture}).tables[1]
+    assert table.title == "Level of detail at 0.700 m"
+    assert [row[2] for row in table.rows] == ["too coarse"] * (len(table.rows) - 1) + ["chosen"]
+    assert len(table.rows) == texture.sizes["level_pixel"]
+
+
 def test_a_paint_has_a_tile_and_a_spectrum_of_each_geometry_and_its_sparkles(paint):
     section = texture_section({"picture_texture": paint})
     assert len(section.figures) == 4
