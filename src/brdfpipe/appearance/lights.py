@@ -127,7 +127,9 @@ LIGHTS: Mapping[str, Lights] = {
 def lights(name: str) -> Lights:
     """Lights by name. Raises LightError: an unknown name, with those known."""
     if name not in LIGHTS:
-        raise LightError(f"unknown light {str(name)[:40]!r}; accepted: {', '.join(LIGHTS)}; set `preview_light`")
+        raise LightError(
+            f"unknown light {str(name)[:40]!r}; accepted: {', '.join(LIGHTS)}; set `preview_light`, in Python `light`"
+        )
     return LIGHTS[name]
 
 
