@@ -32,6 +32,8 @@ SOFTWARE = ("brdfpipe", "netCDF4", "numpy", "scipy", "xarray")
 _NOT_IN_DIGEST = ("digest", "software")
 
 
+_SMALL_FILE = 100_000
+"""Bytes up to which it takes less time to read all variables than to open the file for some."""
 _MOST_SHARED, _MOST_SHARED_BYTES = 2, 64 * 2**20
 """Number and size of the datasets that :func:`shared_dataset` keeps: a material's BSDF, and another that it is compared with. What is prepared from
 a BSDF may be larger than itself: 40 MB for a predicted surface."""
@@ -182,7 +184,7 @@ def _check_owner(dataset: xr.Dataset, path: Path) -> None:
 
 @contextmanager
 def opened(paths: Mapping[str, str | os.PathLike[str]]) -> Iterator[dict[str, xr.Dataset]]:
-    """Stored datasets by name, of which a variable is read when it is used, inside the block. Their kinds are not checked.
+    """Stored datasets by name, of which a variable is read when it is used, inside the block; small ones at once. Their kinds are not checked.
 
     A copy of such a dataset reads its variables once more: ``load`` one from which others are made.
 
@@ -195,6 +197,8 @@ def opened(paths: Mapping[str, str | os.PathLike[str]]) -> Iterator[dict[str, xr
             datasets = {}
             for name, path in paths.items():
                 recalled = _recalled(Path(path))
+                if recalled is None and Path(path).stat().st_size < _SMALL_FILE:
+                    recalled = netcdf_files.read(Path(path))
                 datasets[name] = (
                     files.enter_context(xr.open_dataset(path, engine="netcdf4")) if recalled is None else recalled
                 )

@@ -10,7 +10,7 @@ from brdfpipe import facets, optics, vocabulary
 from brdfpipe import psd as roughness
 from brdfpipe.appearance import gloss
 from brdfpipe.appearance.computation import compute_appearance
-from brdfpipe.appearance.quantities import quantity
+from brdfpipe.appearance.quantities import quantity, values
 from brdfpipe.bsdf import microfacet, wave
 from brdfpipe.bsdf.input_uncertainty import uncertainty
 from brdfpipe.report import combine, summarise
@@ -152,7 +152,7 @@ def test_the_page_and_the_catalogue_show_the_uncertainty(index_alone):
     table = source_table(datasets)
     assert [row[0] for row in table.rows] == ["Refractive index", "Instrument", "All together"]
     assert "Not known, and none assumed: facets counted, reflectance spectrum, model." in table.note
-    tiles = {tile.name: tile.value for tile in key_numbers(datasets)}
+    tiles = {tile.name: tile.value for tile in key_numbers(datasets, values(datasets))}
     value, u = float(appearance["gloss"].sel(gloss_angle=60)), float(appearance["gloss_u"].sel(gloss_angle=60))
     assert tiles["Gloss 60°"] == f"{value:.1f}\N{NO-BREAK SPACE}±\N{NO-BREAK SPACE}{u:.1f}"
     row = combine([summarise({name: one.assign_attrs(stage=name, material="m") for name, one in datasets.items()})])

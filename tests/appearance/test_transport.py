@@ -31,7 +31,7 @@ def gloss_alone(*, index=1.5, **width):
 
 def some(points, count, seed=2):
     chosen = np.random.default_rng(seed).choice(len(points.normal), count, replace=False)
-    return shots.Points(*(field[chosen] for field in points))
+    return points.at(chosen)
 
 
 def views(points, table):
@@ -46,7 +46,7 @@ def test_in_an_even_light_a_surface_shows_its_albedo(a):
     table = Table.of(bsdf, *ONE)
     points = some(shots.sphere(64).pixels, 200)
     theta, _ = views(points, table)
-    points, theta = shots.Points(*(f[theta < 80] for f in points)), theta[theta < 80]
+    points, theta = points.at(theta < 80), theta[theta < 80]
     seen = table.near_light(points, EVEN) + table.far_light(points, EVEN)
     assert seen[:, 0] == pytest.approx(bsdf.bsdf.albedo(theta).values, rel=0.01)
 
@@ -97,7 +97,7 @@ def test_pixels_are_those_of_many_samples(build, name, shot):
     pixels = radiance(table, shot, environment)[:, 0]
     inner = np.flatnonzero((shot.pixels.normal * shot.pixels.view).sum(axis=1) > 0.3)
     chosen = np.random.default_rng(4).choice(inner, 15, replace=False)
-    points = shots.Points(*(field[chosen] for field in shot.pixels))
+    points = shot.pixels.at(chosen)
     frame, theta, phi = table._local_views(points)
     for k, pixel in enumerate(chosen):
         drawn = bsdf.bsdf.sample(20_000, 9, float(theta[k]), float(phi[k]), wavelength)

@@ -64,15 +64,17 @@ def test_the_light_of_the_preview_is_chosen_by_pointer_and_by_keys(browser: Any,
     assert [address for address in requests if not address.startswith(("file:", "data:"))] == []
 
 
-def test_a_chart_saves_the_values_it_was_drawn_from(browser: Any, page: Path) -> None:
+@pytest.mark.parametrize("title", ["BRDF, Cartesian", "BRDF, goniometric"])
+def test_a_chart_saves_the_values_it_was_drawn_from(browser: Any, page: Path, title: str) -> None:
     opened_page(browser, page)
     text = browser.execute_async_script(
         """
-        const done = arguments[0], create = URL.createObjectURL;
+        const [title, done] = arguments, create = URL.createObjectURL;
         URL.createObjectURL = (blob) => (blob.text().then(done), create.call(URL, blob));
         const figures = [...document.querySelectorAll("figure.card")];
-        figures.find((e) => e.textContent.includes("BRDF, Cartesian")).querySelector("button.save").click();
-        """
+        figures.find((e) => e.textContent.includes(title)).querySelector("button.save").click();
+        """,
+        title,
     )
     header, *rows = csv.reader(io.StringIO(text))
     assert header == ["curve", "angle of view θₒ, degree (positive: away from the source)", "BRDF, sr⁻¹"]

@@ -95,15 +95,8 @@ class Lights:
         """Lookup tables of the same lights."""
         return filtered((self,))
 
-    @cached_property
-    def of_pixels(self) -> Callable[[Array, Array], Array]:
-        """Radiance from single directions (pixels, 3), each blurred by the spread of its pixel (pixels,) [radian], as a function of both.
-
-        The last few results are kept: the directions that smooth surfaces mirror are the same for all materials.
-        """
-        return cached_by_content(4)(self._of_pixels)
-
-    def _of_pixels(self, directions: Array, spread: Array) -> Array:
+    def of_pixels(self, directions: Array, spread: Array) -> Array:
+        """Radiance from single directions (pixels, 3), each blurred by the spread of its pixel (pixels,) [radian]."""
         light, order = np.empty(len(spread)), np.argsort(spread, kind="stable")
         for group in np.array_split(order, min(32, len(order))):
             light[group] = self.radiance(directions[group], float(spread[group].mean()))
@@ -134,7 +127,9 @@ LIGHTS: Mapping[str, Lights] = {
 def lights(name: str) -> Lights:
     """Lights by name. Raises LightError: an unknown name, with those known."""
     if name not in LIGHTS:
-        raise LightError(f"unknown light {str(name)[:40]!r}; accepted: {', '.join(LIGHTS)}; set `preview_light`")
+        raise LightError(
+            f"unknown light {str(name)[:40]!r}; accepted: {', '.join(LIGHTS)}; set `preview_light`, in Python `light`"
+        )
     return LIGHTS[name]
 
 

@@ -9,7 +9,7 @@ the other is not included. Light through a slab comes from an evenly lit backdro
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import cache
+from functools import cache, lru_cache
 from io import BytesIO
 from typing import NamedTuple
 
@@ -126,7 +126,8 @@ def png(preview: xr.Dataset) -> bytes:
 
     stream = BytesIO()
     pixels: NDArray[np.uint8] = np.ascontiguousarray(preview["picture"].values, dtype=np.uint8)
-    Image.fromarray(pixels).save(stream, "PNG")  # to optimise it takes ten times as long and saves a tenth
+    # The default level takes half as long again, to optimise ten times as long; either saves less than a tenth.
+    Image.fromarray(pixels).save(stream, "PNG", compress_level=5)
     return stream.getvalue()
 
 
@@ -137,12 +138,13 @@ def radiance(table: Table, shot: Shot, *environments: Lights) -> Array:
     """
     seen = table.mirrored_light(shot.pixels, *environments)
     seen += shot.upsampled(table.far_light(shot.coarse, *environments))
-    edge = min([box.softness for one in environments for box in one.boxes], default=np.inf)
-    grid = shot.with_step(_step(float(np.hypot(table.width, edge / 2))))
-    if len(grid.coarse.normal) < _FEWER * len(shot.pixels.normal):
-        seen += grid.upsampled(table.near_light(grid.coarse, *environments))
-    else:
-        seen += table.near_light(shot.pixels, *environments)
+    if table.has_facets:
+        edge = min([box.softness for one in environments for box in one.boxes], default=np.inf)
+        grid = shot.with_step(_step(float(np.hypot(table.width, edge / 2))), _FEWER * len(shot.pixels.normal))
+        if grid:
+            seen += grid.upsampled(table.near_light(grid.coarse, *environments))
+        else:
+            seen += table.near_light(shot.pixels, *environments)
     seen *= np.repeat([one.exposure for one in environments], seen.shape[1] // len(environments))
     return seen
 
@@ -158,11 +160,17 @@ def channels_of(bsdf: xr.Dataset, illuminant: str = "D65") -> tuple[Array | None
     A reflectance between wavelengths 20 nm apart is that of a cubic spline, and constant beyond 400 and 700 nm; between the wavelengths of a BSDF
     that has fewer it is linear. Other illuminants are adapted to D65 with the Bradford matrix.
     """
+    return _channels(tuple(bsdf["wavelength"].values.tolist()) if "wavelength" in bsdf.coords else (), illuminant)
+
+
+@lru_cache(maxsize=64)
+def _channels(wavelengths: tuple[float, ...], illuminant: str) -> tuple[Array | None, Array]:
+    """Of a BSDF at these wavelengths; catalogues have few sets of them."""
     *_, grid, weights, white = colorimetry.weights(illuminant, 2)
     to_screen = colorimetry.srgb_from_xyz(white)
-    if "wavelength" not in bsdf.coords:
+    if not wavelengths:
         return None, (to_screen @ white)[None]
-    own = bsdf["wavelength"].values
+    own = np.array(wavelengths)
     first, last = np.searchsorted(_WAVELENGTHS, own[0]), np.searchsorted(_WAVELENGTHS, own[-1], side="right")
     inside = _WAVELENGTHS[first:last]
     if inside.size < own.size and inside.size >= _FEWEST_OF_SPLINE:
@@ -190,11 +198,15 @@ def _transmitted(bsdf: xr.Dataset, shot: Shot, wavelength: Array | None, channel
     theta = np.linspace(0.0, 85.0, 18)
     share = representation(bsdf).transmittance(theta, np.zeros(theta.size), wavelength)
     share = in_channels(share, channels)
-    view_angle = np.degrees(np.arccos(np.minimum((shot.pixels.normal * shot.pixels.view).sum(axis=1), 1)))
+    view_angle = np.degrees(np.arccos(np.minimum(shot.pixels.cosine, 1)))
     # At grazing all light is reflected.
     nodes, share = np.append(theta, 90.0), np.concatenate([share, np.zeros((1, share.shape[1]))])
-    passed = np.stack([np.interp(view_angle, nodes, column) for column in share.T], axis=-1)
-    return np.asarray(passed * _backdrop(len(shot.coverage))[np.nonzero(shot.coverage)[0], None])
+    cell = np.searchsorted(nodes[1:-1], view_angle, side="right")
+    passed = (np.diff(share, axis=0) / np.diff(nodes)[:, None])[cell]
+    passed *= (view_angle - nodes[cell])[:, None]
+    passed += share[cell]
+    passed *= _backdrop(len(shot.coverage))[np.nonzero(shot.coverage)[0], None]
+    return passed
 
 
 def _composed(coverage: Array, subject: Array) -> NDArray[np.uint8]:
@@ -203,9 +215,10 @@ def _composed(coverage: Array, subject: Array) -> NDArray[np.uint8]:
     screen = _screen()
     shown = np.empty((side, side, subject.shape[1]), dtype=np.uint8)
     shown[:] = screen[_levels(_backdrop(side))][:, None, None]
-    row, column = np.nonzero(coverage)
-    share = coverage[row, column].astype(np.float32)[:, None]
-    shown[row, column] = screen[_levels(share * subject + (1 - share) * _backdrop(side)[row, None])]
+    covered = np.flatnonzero(coverage)
+    share = coverage.ravel()[covered].astype(np.float32)[:, None]
+    blended = share * subject + (1 - share) * _backdrop(side)[covered // side, None]
+    shown.reshape(side * side, -1)[covered] = screen[_levels(blended)]
     return shown
 
 

@@ -7,15 +7,16 @@ a point depends only on its normal, the direction to the camera and the directio
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import lru_cache, partial
-from typing import NamedTuple
+from dataclasses import dataclass
+from functools import cached_property, lru_cache, partial
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from brdfpipe.content_cache import cached_by_content
-from brdfpipe.geometry import Array
+from brdfpipe.geometry import Array, angles_of
 
 SPHERE_RADIUS = 0.45
 """Share of the picture's side."""
@@ -33,8 +34,9 @@ _WRAPPED = 4
 _CAMERA = np.array([0.0, -1.0, 0.0])
 
 
-class Points(NamedTuple):
-    """Points of a subject."""
+@dataclass(frozen=True, eq=False)
+class Points:
+    """Points of a subject. What follows from them alone is kept with them, as every material is seen at the same ones."""
 
     normal: Array
     """(n, 3)"""
@@ -44,6 +46,27 @@ class Points(NamedTuple):
     """(n, 3) unit tangents along the lay"""
     spread: Array
     """(n,) half the angle between the mirror directions of neighbouring pixels [radian]"""
+
+    def at(self, chosen: NDArray[Any] | slice) -> Points:
+        """Some of the points."""
+        return Points(self.normal[chosen], self.view[chosen], self.lay[chosen], self.spread[chosen])
+
+    @cached_property
+    def cosine(self) -> Array:
+        """(n,) of the angle between the normal and the view"""
+        return np.asarray((self.normal * self.view).sum(axis=1))
+
+    @cached_property
+    def seen_from_x(self) -> tuple[Array, Array]:
+        """Axes (n, 3, 3) of the surface with the view above x, and the angle of the view from the normal (n,) [degree].
+
+        Where the view is along the normal, any tangent is x.
+        """
+        normal, view = self.normal, self.view
+        x = view - self.cosine[:, None] * normal + 1e-12 * self.lay
+        x /= np.linalg.norm(x, axis=1, keepdims=True)
+        frame = np.stack([x, np.cross(normal, x), normal], axis=1)
+        return frame, angles_of(np.einsum("pca,pa->pc", frame, view))[0]
 
 
 class Shot(NamedTuple):
@@ -62,8 +85,8 @@ class Shot(NamedTuple):
     """Whether the second axis of the grid is a full turn"""
     step: float
     """Largest angle between the facets [radian] that mirror one light to the camera from neighbouring points of the grid"""
-    with_step: Callable[[float], Shot]
-    """The same subject with a grid of a smaller step"""
+    with_step: Callable[[float, float], Shot | None]
+    """The same subject with a grid of a smaller step, None if that would have more points than the second argument"""
 
     def upsampled(self, values: Array) -> Array:
         """Values of the coarse grid (points, channels) at the pixels (n, channels), by cubic splines."""
@@ -145,8 +168,9 @@ def sphere(side: int, rings: int = 40, turns: int = 72) -> Shot:
     )
 
 
-def _finer_sphere(side: int, step: float) -> Shot:
-    return sphere(side, int(np.ceil(np.pi / 2 / step)) + 1, 2 * int(np.ceil(np.pi / step)))
+def _finer_sphere(side: int, step: float, most: float) -> Shot | None:
+    rings, turns = int(np.ceil(np.pi / 2 / step)) + 1, 2 * int(np.ceil(np.pi / step))
+    return sphere(side, rings, turns) if rings * turns < most else None
 
 
 def _on_sphere(sine: Array, turn: Array, width: float) -> Points:
@@ -185,8 +209,9 @@ def panel(side: int, lines: int = 24) -> Shot:
     )
 
 
-def _finer_panel(side: int, step: float) -> Shot:
-    return panel(side, int(np.ceil(PANEL_HALF_SIDE / PANEL_DISTANCE / step)) + 1)
+def _finer_panel(side: int, step: float, most: float) -> Shot | None:
+    lines = int(np.ceil(PANEL_HALF_SIDE / PANEL_DISTANCE / step)) + 1
+    return panel(side, lines) if lines * lines < most else None
 
 
 def _on_panel(position: Array, normal: Array, axes: Array, camera: Array, spread: float) -> Points:

@@ -131,6 +131,11 @@ def quantities_on_request() -> tuple[AppearanceQuantity, ...]:
     return tuple(quantity for quantity in _TABLE.values() if quantity.on_request)
 
 
+def values(datasets: Datasets) -> dict[AppearanceQuantity, float]:
+    """The value [unit] of every quantity of a material, those on request last; NaN where it is not known or does not apply."""
+    return {quantity: quantity.value(datasets) for quantity in (*quantities(), *quantities_on_request())}
+
+
 def quantity(name: str) -> AppearanceQuantity:
     return _TABLE[name]
 

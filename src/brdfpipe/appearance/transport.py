@@ -9,7 +9,9 @@ picture has no noise and no pattern.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property, lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -82,7 +84,7 @@ class Table:
         """Tabulate a BSDF; ``channels`` (wavelength or 1, channels) are the weights of the wavelengths in each channel."""
         isotropic = representation(bsdf).isotropic
         resolution = ISOTROPIC if isotropic else WITH_LAY
-        theta = 89.9 * np.sin(np.linspace(0, np.pi / 2, resolution.thetas))
+        theta = _views(resolution.thetas)
         phi = np.arange(resolution.phis) * 360 / resolution.phis
         lay = 0.0 if isotropic else representation(bsdf).lay or 0.0
         widths = _lobe_widths(bsdf, lay, wavelength)
@@ -112,6 +114,11 @@ class Table:
         near, far = both[:, :, : len(facets)], both[:, :, len(facets) :]
         return cls(theta, phi, lay, min(widths), facets, facet_angle, near, directions, far, mirror)
 
+    @cached_property
+    def has_facets(self) -> bool:
+        """Whether facets contribute anything."""
+        return bool(self.near.any())
+
     def near_light(self, points: Points, *lights: Lights) -> Array:
         """Light that facets near the mirror direction reflect to the camera, (points, channels).
 
@@ -128,14 +135,11 @@ class Table:
         radiance = np.zeros((len(points.normal), self.mirror.shape[-1]))
         if not self.mirror.any():
             return radiance
-        _, theta, phi = self._local_views(points)
-        cosine = (points.normal * points.view).sum(axis=1, keepdims=True)
-        directions = 2 * cosine * points.normal - points.view
-        light = np.stack([one.of_pixels(directions, points.spread) for one in lights], axis=-1)
-        light = np.repeat(light, radiance.shape[1] // len(lights), axis=1)
-        for in_cell, corners, shares in self._table_cells(theta, phi):
+        light = _mirrored(points, lights)
+        for in_cell, corners, shares in self._cells(points):
             reflectance = np.stack([self.mirror[corner] for corner in corners])
-            radiance[in_cell] = shares @ reflectance * light[in_cell]
+            radiance[in_cell] = shares @ reflectance
+        radiance.reshape(*light.shape, -1)[:] *= light[..., None]
         return radiance
 
     def _reflected_light(self, points: Points, lights: tuple[Lights, ...], near: bool) -> Array:
@@ -143,10 +147,9 @@ class Table:
         radiance = np.zeros((len(points.normal), weights.shape[-1]))
         if weights.shape[2] == 0 or not weights.any():
             return radiance
-        frame, theta, phi = self._local_views(points)
-        lamps = filtered(lights)
+        frame, lamps = self._local_views(points)[0], filtered(lights)
         every = None if near else lamps.in_frames(frame, self.directions)
-        for in_cell, corners, shares in self._table_cells(theta, phi):
+        for in_cell, corners, shares in self._cells(points):
             # (corners, nodes, lights, channels) to (lights, nodes, corners, channels)
             table = np.stack([weights[corner] for corner in corners])
             table = table.reshape(*table.shape[:2], len(lights), -1).transpose(2, 1, 0, 3)
@@ -157,7 +160,8 @@ class Table:
                 if every is None:
                     light = self._from_facets(frame[at], points.view[at], points.spread[at], lamps)
                 else:
-                    light = every[:, at]
+                    whole = at[-1] - at[0] == at.size - 1  # without a copy
+                    light = every[:, at[0] : at[-1] + 1] if whole else every[:, at]
                 by_corner = (light @ table).reshape(len(lights), at.size, len(corners), -1)
                 share = shares[start : start + step].astype(np.float32)[..., None]
                 seen = sum(share[:, corner] * by_corner[:, :, corner] for corner in range(len(corners)))
@@ -174,37 +178,72 @@ class Table:
 
     def _local_views(self, points: Points) -> tuple[Array, Array, Array]:
         """Axes of the surface (points, 3, 3), and the view in them [degree]."""
-        normal, view = points.normal, points.view
         if self.phi.size == 1:
-            # Where the view is along the normal, any tangent does.
-            x = view - (view * normal).sum(axis=1, keepdims=True) * normal + 1e-12 * points.lay
-            x /= np.linalg.norm(x, axis=1, keepdims=True)
-        else:
-            across = np.cross(normal, points.lay)
-            x = np.cos(np.radians(self.lay)) * points.lay - np.sin(np.radians(self.lay)) * across
+            frame, theta = points.seen_from_x
+            return frame, np.minimum(theta, self.theta[-1]), np.zeros(len(theta))
+        normal, view = points.normal, points.view
+        across = np.cross(normal, points.lay)
+        x = np.cos(np.radians(self.lay)) * points.lay - np.sin(np.radians(self.lay)) * across
         frame = np.stack([x, np.cross(normal, x), normal], axis=1)
         theta, phi = angles_of(np.einsum("pca,pa->pc", frame, view))
-        return frame, np.minimum(theta, self.theta[-1]), np.zeros(len(phi)) if self.phi.size == 1 else phi % 360
+        return frame, np.minimum(theta, self.theta[-1]), phi % 360
 
-    def _table_cells(self, theta: Array, phi: Array) -> list[tuple[NDArray[np.intp], list[tuple[int, int]], Array]]:
-        """Points by cell of the table: their indices, the corners of the cell, and bilinear weights (points, corners)."""
-        row_of = np.clip(np.searchsorted(self.theta, theta, side="right") - 1, 0, self.theta.size - 2)
-        theta_fraction = (theta - self.theta[row_of]) / np.diff(self.theta)[row_of]
-        step = 360 / self.phi.size
-        column_of = np.minimum((phi / step).astype(int), self.phi.size - 1)
-        phi_fraction = phi / step - column_of
-        cells = []
-        for cell in np.unique(row_of * self.phi.size + column_of):
-            row, column = divmod(int(cell), self.phi.size)
-            in_cell = np.flatnonzero((row_of == row) & (column_of == column))
-            a, b = theta_fraction[in_cell], phi_fraction[in_cell]
-            if self.phi.size == 1:
-                cells.append((in_cell, [(row, 0), (row + 1, 0)], np.stack([1 - a, a], axis=1)))
-                continue
-            after = (column + 1) % self.phi.size
-            corners = [(row, column), (row + 1, column), (row, after), (row + 1, after)]
-            cells.append((in_cell, corners, np.stack([(1 - a) * (1 - b), a * (1 - b), (1 - a) * b, a * b], axis=1)))
-        return cells
+    def _cells(self, points: Points) -> Sequence[_Cell]:
+        """Points by cell of the table."""
+        if self.phi.size == 1:
+            return _cells_of_isotropic(points, self.theta.size)
+        return _cells_of(self.theta, self.phi.size, *self._local_views(points)[1:])
+
+
+class _Cell(NamedTuple):
+    """A cell of a table of views."""
+
+    points: NDArray[np.intp]
+    """Indices of the points in it, increasing"""
+    corners: Sequence[tuple[int, int]]
+    """Polar angle and azimuth, as indices of the table"""
+    shares: Array
+    """(points, corners) bilinear weights"""
+
+
+def _views(count: int) -> Array:
+    """Polar angles of the views of a table [degree]."""
+    return np.asarray(89.9 * np.sin(np.linspace(0, np.pi / 2, count)))
+
+
+@lru_cache(maxsize=8)
+def _cells_of_isotropic(points: Points, thetas: int) -> Sequence[_Cell]:
+    """The same for all isotropic materials."""
+    theta, seen = _views(thetas), points.seen_from_x[1]
+    return _cells_of(theta, 1, np.minimum(seen, theta[-1]), np.zeros(len(seen)))
+
+
+def _cells_of(thetas: Array, phis: int, theta: Array, phi: Array) -> Sequence[_Cell]:
+    """Views (n,) by cell of a table with the polar angles ``thetas`` and ``phis`` azimuths."""
+    row_of = np.clip(np.searchsorted(thetas, theta, side="right") - 1, 0, thetas.size - 2)
+    theta_fraction = (theta - thetas[row_of]) / np.diff(thetas)[row_of]
+    step = 360 / phis
+    column_of = np.minimum((phi / step).astype(int), phis - 1)
+    phi_fraction = phi / step - column_of
+    cells = []
+    for cell in np.unique(row_of * phis + column_of):
+        row, column = divmod(int(cell), phis)
+        in_cell = np.flatnonzero((row_of == row) & (column_of == column))
+        a, b = theta_fraction[in_cell], phi_fraction[in_cell]
+        if phis == 1:
+            cells.append(_Cell(in_cell, [(row, 0), (row + 1, 0)], np.stack([1 - a, a], axis=1)))
+            continue
+        after = (column + 1) % phis
+        corners = [(row, column), (row + 1, column), (row, after), (row + 1, after)]
+        cells.append(_Cell(in_cell, corners, np.stack([(1 - a) * (1 - b), a * (1 - b), (1 - a) * b, a * b], axis=1)))
+    return cells
+
+
+@lru_cache(maxsize=8)
+def _mirrored(points: Points, lights: tuple[Lights, ...]) -> Array:
+    """Light from the directions that smooth surfaces mirror to the camera, (points, lights)."""
+    directions = 2 * points.cosine[:, None] * points.normal - points.view
+    return np.stack([one.of_pixels(directions, points.spread) for one in lights], axis=-1)
 
 
 def in_channels(values: Array, channels: Array) -> Array:
@@ -225,13 +264,20 @@ def _reflected(
     ``view`` are θ_o and φ_o [degree], (views,) each.
     """
     used = (lights[..., 2] > 1e-9) & (weight > 0)
-    reflected = np.zeros((*used.shape, channels.shape[1]))
+    if used.all():
+        used = np.ones((), dtype=bool)  # views instead of copies
     if not used.any():
-        return reflected
-    theta_i, phi_i = angles_of(lights[used])
-    theta_o, phi_o = (np.broadcast_to(angle[:, None], used.shape)[used] for angle in view)
+        return np.zeros((*weight.shape, channels.shape[1]))
+    chosen = lights[used].reshape(-1, 3)
+    theta_i, phi_i = angles_of(chosen)
+    theta_o, phi_o = (np.broadcast_to(angle[:, None], weight.shape)[used].ravel() for angle in view)
     values = representation(bsdf).evaluate(theta_i, phi_i, theta_o, phi_o, wavelength)
-    reflected[used] = in_channels(values, channels) * (lights[used][:, 2] * weight[used])[:, None]
+    light = in_channels(values, channels)
+    light *= (chosen[:, 2] * weight[used].ravel())[:, None]
+    if used.ndim == 0:
+        return light.reshape(*weight.shape, -1)
+    reflected = np.zeros((*weight.shape, channels.shape[1]))
+    reflected[used] = light
     return reflected
 
 

@@ -15,7 +15,7 @@ from typing import Any
 import xarray as xr
 from markupsafe import Markup
 
-from brdfpipe.appearance.quantities import quantities
+from brdfpipe.appearance.quantities import AppearanceQuantity
 from brdfpipe.file_formats import media_type
 from brdfpipe.report.rendering import as_json
 
@@ -23,13 +23,19 @@ _CONTEXT = "https://schema.org"
 
 
 def of_material(
-    datasets: Mapping[str, xr.Dataset], name: str, description: str, technique: str, files: Iterable[str]
+    datasets: Mapping[str, xr.Dataset],
+    known: Mapping[AppearanceQuantity, float],
+    name: str,
+    description: str,
+    technique: str,
+    files: Iterable[str],
 ) -> Markup:
     """The data set of one material.
 
     Parameters
     ----------
     datasets : stage → its dataset
+    known : :func:`brdfpipe.appearance.quantities.values` of them
     name, description : of the material; untrusted
     technique : how the BRDF was obtained
     files : paths of exported files in relation to the page
@@ -46,8 +52,8 @@ def of_material(
             "value": round(value, quantity.decimals),
             **({} if quantity.unit == "1" else {"unitText": quantity.unit}),
         }
-        for quantity in quantities()
-        if not math.isnan(value := quantity.value(datasets))
+        for quantity, value in known.items()
+        if not quantity.on_request and not math.isnan(value)
     ]
     digest = str(datasets["bsdf"].attrs.get("digest", "")) if "bsdf" in datasets else ""
     return _markup(

@@ -279,6 +279,12 @@ def test_paper_has_every_row_that_is_shown(opened: Any) -> None:
     rows = "return document.querySelectorAll('#materials tbody tr:not(.space)').length"
     assert opened.execute_script(rows) < 100
     assert opened.execute_script(f"dispatchEvent(new Event('beforeprint')); {rows}") == shown
+    opened.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": "print"})
+    try:
+        last = "return [...document.querySelectorAll('#materials tbody tr')].at(-1).getBoundingClientRect().bottom"
+        assert opened.execute_script(last) > 10 * shown
+    finally:
+        opened.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": ""})
     assert opened.execute_script(f"dispatchEvent(new Event('afterprint')); {rows}") < 100
 
 

@@ -11,7 +11,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from brdfpipe.appearance.quantities import AppearanceQuantity, quantities, quantities_on_request
+from brdfpipe.appearance.quantities import AppearanceQuantity
 from brdfpipe.report.formatting import length, number, value_with_u
 from brdfpipe.report.plots.svg import data_uri
 
@@ -37,11 +37,11 @@ class KeyNumber:
     hint: str = ""
 
 
-def key_numbers(datasets: Mapping[str, xr.Dataset]) -> Iterator[KeyNumber]:
-    """Tiles of the quantities that are known and apply to the material."""
-    every = [quantity for quantity in (*quantities(), *quantities_on_request()) if quantity.listed]
+def key_numbers(datasets: Mapping[str, xr.Dataset], known: Mapping[AppearanceQuantity, float]) -> Iterator[KeyNumber]:
+    """Tiles of the quantities that are known and apply to the material; ``known`` are :func:`brdfpipe.appearance.quantities.values` of it."""
+    every = [quantity for quantity in known if quantity.listed]
     for title, group in groupby(every, key=lambda quantity: quantity.tile or quantity.label):
-        values = {quantity: quantity.value(datasets) for quantity in group}
+        values = {quantity: known[quantity] for quantity in group}
         if any(math.isfinite(value) for value in values.values()):
             texts, units = zip(
                 *(_value_and_unit(one, value, one.uncertainty(datasets)) for one, value in values.items()), strict=True

@@ -11,7 +11,7 @@ import xarray as xr
 
 from brdfpipe.appearance.applicability import limits
 from brdfpipe.appearance.origin import basis, gloss_readings, is_measured, route, solution_words
-from brdfpipe.appearance.quantities import viewing_conditions
+from brdfpipe.appearance.quantities import values, viewing_conditions
 from brdfpipe.appearance.validity import validity
 from brdfpipe.appearance.verdicts import (
     Acceptances,
@@ -73,7 +73,8 @@ def material_page(
     known = own_stages(datasets)
     appearance = known.get("appearance")
     measured = is_measured(known)
-    facts = list(key_numbers(known))
+    of_material = values(known)
+    facts = list(key_numbers(known, of_material))
     conditions = [] if measured else validity(known)
     verdict, reasons = overall(known, accepted)
     exported = exports_table(known, material_name(known))
@@ -111,7 +112,7 @@ def material_page(
         script=script,
         script_hash=script_hash,
         name=name,
-        linked_data=structured_data.of_material(known, name, description, technique, exported_paths),
+        linked_data=structured_data.of_material(known, of_material, name, description, technique, exported_paths),
         description=description,
         route=": ".join(filter(None, (technique, solution_words(known)))),
         choice=choice_words(known),

@@ -19,7 +19,15 @@ from brdfpipe.bsdf.representations.wave import Wave
 from brdfpipe.errors import BrdfpipeError
 from brdfpipe.masking.modes import MULTIPLE_SCATTERING_ADVISED, PHYSICAL_MASKINGS
 from brdfpipe.report.cards import Section, Table
-from brdfpipe.report.formatting import basis_legend, fixed, labels, number, percent, plus_minus_u, uncertainty_value
+from brdfpipe.report.formatting import (
+    basis_legend,
+    labels,
+    number,
+    percent,
+    plus_minus_u,
+    uncertainty_value,
+    value_with_u,
+)
 from brdfpipe.report.plots import bsdf_cuts, bsdf_sections, directional_maps, reflectance
 from brdfpipe.report.plots.svg import Figure
 
@@ -102,25 +110,28 @@ def _gloss_rows(datasets: Mapping[str, xr.Dataset], appearance: xr.Dataset) -> I
     for angle, (value, u) in zip(appearance["gloss_angle"].values.tolist(), _values(appearance, "gloss"), strict=True):
         if math.isfinite(value):
             gloss = quantity(f"gloss_{angle:g}")
-            yield gloss.label, fixed(value, gloss.decimals), u, flags.get(angle, "")
+            yield gloss.label, *_with_u(value, u, gloss.decimals), flags.get(angle, "")
     for value, u in _values(appearance, "haze"):
         if math.isfinite(value):
             label = haze.symbol if haze.exclusion(datasets) else haze.label
-            yield label, fixed(value, haze.decimals), u, worst_flag(appearance, *HAZE_ANGLES)
+            yield label, *_with_u(value, u, haze.decimals), worst_flag(appearance, *HAZE_ANGLES)
     if "reflectance_haze" in appearance:
         windows = labels(appearance["reflectance_haze"], "haze_window")
         for window, (value, u) in zip(windows, _values(appearance, "reflectance_haze"), strict=True):
-            yield f"{window_haze.label}, {window}", fixed(value, window_haze.decimals), u, ""
+            yield f"{window_haze.label}, {window}", *_with_u(value, u, window_haze.decimals), ""
 
 
-def _values(appearance: xr.Dataset, name: str) -> list[tuple[float, str]]:
-    """Values of a variable and ``± u``, which is empty where it is not known."""
+def _with_u(value: float, u: float, decimals: int) -> tuple[str, str]:
+    """A value with the digits that its uncertainty leaves, and ``± u``, which is empty where it is not known."""
+    return value_with_u(value, u, decimals).partition(" ± ")[0], plus_minus_u(u)
+
+
+def _values(appearance: xr.Dataset, name: str) -> list[tuple[float, float]]:
+    """Values of a variable and their standard uncertainties, NaN where these are not known."""
     if name not in appearance:
         return []
     uncertainty = appearance.get(f"{name}_u", xr.full_like(appearance[name], np.nan))
-    return list(
-        zip(appearance[name].values.ravel().tolist(), map(plus_minus_u, uncertainty.values.ravel()), strict=True)
-    )
+    return list(zip(appearance[name].values.ravel().tolist(), uncertainty.values.ravel().tolist(), strict=True))
 
 
 def _uncertainty_words(appearance: xr.Dataset) -> tuple[str, str]:

@@ -23,6 +23,9 @@ INCIDENCES = (0.0, 30.0, 45.0, 60.0, 75.0)
 
 _STYLES = ("c0", "c1", "c4", "c2", "c3")
 
+_CARTESIAN = "{}, Cartesian"
+"""Title of the chart of an isotropic BSDF, whose data the goniometric chart shows too."""
+
 _DECADES_SHOWN = 6
 
 _MOST_DECADES = 9
@@ -114,8 +117,9 @@ def _goniometric(bsdf: xr.Dataset, above: Sequence[_Cut], below: Sequence[_Cut])
         [(cut.incidence, cut.style) for cut in above],
         _lines(below),
         quantity,
+        [_CARTESIAN.format(name) for name in (("BRDF", "BTDF") if below else ("BRDF",))],
     )
-    note = f"Plane of incidence, {bsdf_sections.wavelength_words(bsdf)}. Triangles mark the sources. The narrower a lobe, the glossier; the round part is diffuse. The data are those of the Cartesian chart."
+    note = f"Plane of incidence, {bsdf_sections.wavelength_words(bsdf)}. Triangles mark the sources. The narrower a lobe, the glossier; the round part is diffuse."
     note += _unmeasured_note(bsdf, bsdf_sections.planes(bsdf)[0], above)
     return [Figure(f"{quantity}, goniometric", svg, legend(marks), note)]
 
@@ -141,7 +145,7 @@ def _cartesian(
     for plane, cuts in zip(planes, cuts_by_plane, strict=True):
         curves = _lines(cuts)
         marks = [*curves, *_single_directions(bsdf, quantity, single, low, high)]
-        title = f"{quantity} {plane.words}" if plane.words else f"{quantity}, Cartesian"
+        title = f"{quantity} {plane.words}" if plane.words else _CARTESIAN.format(quantity)
         svg = chart(
             f"{quantity} in the plane of incidence {plane.words} against the angle of view, logarithmic",
             Axis(f"{_ANGLE_LABEL[quantity]}, degree (positive: away from the source)", -90.0, 90.0, step=30),

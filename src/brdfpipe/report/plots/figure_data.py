@@ -45,7 +45,16 @@ def metadata(x: str, y: str, marks: Sequence[Mark]) -> str:
         return ""
     columns = json.dumps(["curve", x, y, *([fourth] if fourth else [])], ensure_ascii=False)
     text = f'{{"columns":{columns},"curves":[{",".join(curves)}]}}'
-    return f"<metadata>{text.replace('&', chr(92) + 'u0026').replace('<', chr(92) + 'u003c')}</metadata>"
+    return f"<metadata>{_escaped(text)}</metadata>"
+
+
+def of_charts(titles: Sequence[str]) -> str:
+    """The same element for a picture of the data that charts with these titles carry."""
+    return f"<metadata>{_escaped(json.dumps({'charts': list(titles)}, ensure_ascii=False))}</metadata>"
+
+
+def _escaped(text: str) -> str:
+    return text.replace("&", "\\u0026").replace("<", "\\u003c")
 
 
 def _columns(mark: Mark) -> Iterator[Array]:

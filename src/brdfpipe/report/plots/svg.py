@@ -16,7 +16,7 @@ import numpy as np
 from markupsafe import Markup, escape
 from numpy.typing import ArrayLike, NDArray
 
-from brdfpipe.report.plots.figure_data import metadata
+from brdfpipe.report.plots.figure_data import metadata, of_charts
 
 Array = NDArray[np.float64]
 
@@ -193,11 +193,13 @@ def polar(
     sources: Sequence[tuple[float, str]],
     below: Sequence[Line] = (),
     quantity: str = "BRDF",
+    data_of: Sequence[str] = (),
 ) -> Markup:
     """A goniometric half disc, or full disc with transmitted light ``below``: angle from the normal, logarithmic radius.
 
     x of the marks is in degree from the (lower) normal, negative on the side of the source. ``decades`` are the exponents of ten at
-    the centre and at the rim, ``sources`` the angles [degree] and styles of the sources.
+    the centre and at the rim, ``sources`` the angles [degree] and styles of the sources, ``data_of`` the titles of the charts that have
+    the same curves, for their data.
     """
     radius = 190.0 if below else 218.0
     centre_x, centre_y, height = WIDTH / 2, radius + 32, 2 * radius + 72 if below else 300
@@ -243,7 +245,7 @@ def polar(
     else:
         parts.append(text(centre_x - radius, centre_y + 16, "side of the source", "start", "t"))
         parts.append(text(centre_x + radius, height - 8, f"{quantity}, sr⁻¹ (log)", "end", "t"))
-    return frame(description, height, parts)
+    return frame(description, height, [*parts, of_charts(data_of)] if data_of else parts)
 
 
 def rose(description: str, label: str, azimuth: ArrayLike, value: ArrayLike, axis: float) -> Markup:

@@ -10,7 +10,7 @@
   // Where scripts run, the table in the page is text. Parsed apart from the page it costs no layout, however long it is.
   const plain = new DOMParser().parseFromString($("plain-table").textContent, "text/html").querySelector(".scroll");
   const frame = document.adoptNode(plain), table = frame.querySelector("table"), body = table.tBodies[0], heads = [...table.tHead.rows[0].cells];
-  const MOST_COMPARED = 4, ALL_AT_ONCE = 300, ROW = 72, MARGIN = 12; // rows shown without a window; height of a row of the window [px]; rows beyond its edges
+  const MOST_COMPARED = 4, ALL_AT_ONCE = 300, ROW = 72, MARGIN = 12, PAPER = 640; // rows shown without a window; height of a row of the window [px]; rows beyond its edges; width of the plot on paper [px]
   const VERDICT = 1, WARNINGS = 2, FIRST_QUANTITY = 3; // columns
   const rank = { fail: 0, warn: 1, pass: 2 };
   const number = (text) => parseFloat(text.replace("\u2212", "-"));
@@ -125,8 +125,8 @@
     requestAnimationFrame(() => { waiting = false; draw(); });
   }, { passive: true });
   addEventListener("resize", () => draw());
-  addEventListener("beforeprint", () => { whole = true; draw(true); });
-  addEventListener("afterprint", () => { whole = false; draw(true); });
+  addEventListener("beforeprint", () => { whole = true; draw(true); drawPlot(); });
+  addEventListener("afterprint", () => { whole = false; draw(true); drawPlot(); });
 
   // --- comparison
   const compared = [];
@@ -155,7 +155,7 @@
     if (!lit.length || $("comparison").hidden) return;
     const stroke = css("--ink2"), grid = { stroke: css("--grid") }, top = Math.ceil(Math.log10(Math.max(...lit))), base = Math.max(Math.floor(Math.log10(Math.min(...lit))), top - 7);
     plot = new uPlot({
-      width: holder.clientWidth || 600, height: Math.min(460, Math.max(300, 0.75 * holder.clientWidth)),
+      width: whole ? PAPER : holder.clientWidth || 600, height: whole ? 400 : Math.min(460, Math.max(300, 0.75 * holder.clientWidth)),
       scales: { x: { time: false }, y: { distr: 3, range: () => [10 ** base, 10 ** Math.max(top, base + 1)] } },
       axes: [{ stroke, grid, label: "degree from the mirror direction", labelSize: 20 }, { stroke, grid, size: 66, label: "BRDF, sr⁻¹", labelSize: 18, values: (_, ticks) => ticks.map((v) => (v === null ? "" : v < 1e-3 || v >= 1e5 ? v.toExponential(0).replace("-", "\u2212") : String(+v.toPrecision(1)))) }],
       series: [{ label: "angle", value: (_, v) => (v == null ? "–" : `${v}°`) }, ...compared.map((entry, k) => ({ label: entry.name, stroke: css(strokes[k][0]), dash: strokes[k][1], width: 2, spanGaps: false, value: (_, v) => (v == null ? "–" : v.toPrecision(3)) }))],
@@ -192,7 +192,6 @@
     $("figures-compared").tHead.replaceChildren(make("tr", {}, make("th", { scope: "col", textContent: "Quantity" }), ...compared.map((entry) => make("th", { scope: "col", textContent: entry.name }))));
     $("figures-compared").tBodies[0].replaceChildren(
       ...compared.slice(0, -1).map((from) => line(`ΔE00 from ${from.name}`, compared.map((entry) => (entry === from ? "–" : from.lab && entry.lab ? deltaE00(from.lab, entry.lab).toFixed(2) : "no colour")))),
-      line("L* a* b*", compared.map(({ lab }) => (lab ? lab.map((v) => v.toFixed(1).replace("-", "\u2212")).join("  ") : "–"))),
       line("Route", compared.map((entry) => entry.route)),
       ...heads.slice(1).map((head, k) => line(head.textContent, compared.map((entry) => (k + 1 === WARNINGS ? String(entry.keys[WARNINGS]) : content(entry, k + 1))))),
     );
