@@ -53,7 +53,7 @@ TERMS = (
     Term("stray", "light of walls and mirrors", "common", "A", "normal", _KNOWN, "1/BRDF", "cells below the horizon"),
     Term("geometry", "position of the picture, curvature over a cell", "independent", "B", "normal", _KNOWN, "slope of the picture", "registration"),
     Term("directions", "directions of the fibres", "independent", "B", "normal", _KNOWN, "slope of BRDF and cosines over direction", "`u` of fibres.csv"),
-    Term("wavelength", "error of the monochromator", "common", "B", "rectangular", _KNOWN, "slope of BRDF over wavelength", "`monochromator.wavelength_u`"),
+    Term("wavelength", "error of the monochromator", "common", "B", "rectangular", _KNOWN, "slope of BRDF over wavelength", "`monochromator.wavelength_u`, or the offset of lines"),
     Term("band", "width of the band, not corrected", "common", "B", "rectangular", _KNOWN, "curvature of BRDF over wavelength", "`slit`"),
     Term("polarisation", "polarisation of the beam", "common", "B", "rectangular", _KNOWN, "M01/M00 of the surface reflection", "`monochromator.polarisation`"),
     Term("linearity", "linearity of the camera", "common", "B", "rectangular", _KNOWN, "1", "`camera.linearity_u`"),
