@@ -214,7 +214,8 @@ def frames_of(
     )
     frames = {}
     for shot in plan.shots:
-        stand.set_entrance(shot.arrangement.incidence, load=shot.arrangement.load, side=shot.arrangement.side)
+        arrangement = shot.arrangement
+        stand.set_entrance(arrangement.incidence, load=arrangement.load, side=arrangement.side, aim=arrangement.aim)
         stand.monochromator.restore(shot.wavelength)
         stand.wheel.restore(shot.position)
         picture = stand.camera.expose(shot.exposure, shutter=not shot.dark)

@@ -546,6 +546,10 @@ QUANTITIES: Mapping[str, Quantity] = {
     "nd_transmittance": Quantity("1", "transmittance of the neutral filter, as described", 0, 1),
     "elapsed": Quantity("s", "time since the start of the run"),
     "temperature": Quantity("degC", "temperature of the camera's sensor", -273.15, missing=True),
+    "aim_theta": Quantity(
+        "degree", "angle from the mirror direction to which a turned mirror sends the light", 0, 180, missing=True
+    ),
+    "aim_phi": Quantity("degree", "azimuth to which a turned mirror sends the light", missing=True),
 }
 
 
@@ -882,6 +886,7 @@ KINDS: Mapping[str, Kind] = {
                 *("nd_position", "nd_transmittance", "elapsed", "temperature"),
             )
         },
+        {name: [("frame",)] for name in ("aim_theta", "aim_phi")},
         attributes=("day", "sample", "rig", "rig_digest"),
     ),
     "catalogue": Kind({}, missing=("reflectance_haze",)),

@@ -29,7 +29,7 @@ from brdfpipe.rig.emulator.dialects import DIALECTS
 from brdfpipe.rig.emulator.effects import Effects
 from brdfpipe.rig.emulator.faults import KINDS, Faults
 from brdfpipe.rig.emulator.port import Port
-from brdfpipe.rig.plan import Plan
+from brdfpipe.rig.plan import Arrangement, Plan
 from brdfpipe.rig.raw_frame import RawFrame
 from brdfpipe.store import save_dataset
 
@@ -131,10 +131,14 @@ def digest(path: Path, text: str) -> str:
 
 def test_every_keyword_of_a_frame_is_explained(tmp_path):
     plan = Plan.load(small_rig.write(tmp_path / "bench"))
-    picture = RawFrame(np.zeros((72, 96), dtype=np.uint16), 1.7e9, plan.shots[0].exposure, 20.0)
-    state = frame_file.DeviceState(plan.shots[0].wavelength, plan.shots[0].position)
+    # Of a turned mirror, whose frames have all keywords.
+    shot = replace(
+        plan.shots[0], purpose="mirror", arrangement=Arrangement("mirror", "reflection", 10.0, aim=(20.0, 45.0))
+    )
+    picture = RawFrame(np.zeros((72, 96), dtype=np.uint16), 1.7e9, shot.exposure, 20.0)
+    state = frame_file.DeviceState(shot.wavelength, shot.position)
     path = tmp_path / "frame.fits"
-    frame_file.write_frame(path, picture, plan.shots[0], plan, state=state, run_start=None, camera="a camera")
+    frame_file.write_frame(path, picture, shot, plan, state=state, run_start=None, camera="a camera")
     cards = path.read_bytes()[:5760].decode("ascii", "replace")
     written = {
         cards[place : place + 8].strip() for place in range(0, len(cards), 80) if cards[place + 8 : place + 10] == "= "

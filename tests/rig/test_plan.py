@@ -186,6 +186,49 @@ def test_the_target_is_measured_at_one_wavelength(tmp_path):
     assert loaded.sample_id(shots[0].arrangement) == "target"
 
 
+LINE_LAMP = {"runs": "[line-lamp, etalon]", "line_lamp": "{lines: [435.833, 546.074], step: 2}"}
+
+
+def test_lines_are_read_about_their_wavelengths_without_lamp_readings(tmp_path):
+    loaded = plan(tmp_path, **LINE_LAMP)
+    light = [shot for shot in loaded.shots if not shot.dark]
+    lines = [shot for shot in light if shot.purpose == "line-lamp"]
+    assert light[: len(lines)] == lines
+    assert [shot.wavelength for shot in lines[:9]] == [round(435.833 + 2.25 * place, 3) for place in range(-4, 5)]
+    assert {(shot.exposure, shot.position, shot.arrangement.load) for shot in lines} == {(1, 1, "line-lamp")}
+    assert light[len(lines)].purpose == "drift"
+    alone = plan(tmp_path, runs="[line-lamp]", line_lamp="{lines: [546.074]}")
+    assert [shot.purpose for shot in alone.shots if not shot.dark] == ["line-lamp"] * 9
+
+
+def test_the_mirror_is_turned_to_each_direction_at_one_wavelength(tmp_path):
+    loaded = plan(tmp_path, runs="[mirror]", mirror="{step: 30, to: 60}")
+    aims = [arrangement.aim for arrangement in loaded.arrangements]
+    assert aims[0] == (0.0, 0.0)
+    assert {theta for theta, _ in aims} == {0.0, 30.0, 60.0}
+    assert len(set(aims)) == len(aims) == 1 + 6 + 10
+    taken = [shot for shot in loaded.shots if shot.purpose == "mirror"]
+    assert {shot.wavelength for shot in taken} == {loaded.drift.wavelength}
+    assert len(taken) == len(aims) * len(loaded.bracket)
+    assert plan(tmp_path).aims == ()
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"runs": "[line-lamp, etalon]"}, ["no lines of the lamp", "line_lamp: {lines:"]),
+        (LINE_LAMP | {"line_lamp": "{lines: [385]}"}, ["line_lamp.lines", "does not reach", "376 nm"]),
+        (LINE_LAMP | {"line_lamp": "{lines: [500], step: 3}"}, ["line_lamp.step", "no such frame", "1 to 2"]),
+        ({"sample": "mirror"}, ["reserved name", "line-lamp"]),
+        ({"mirror": "{step: 1}"}, ["mirror.step"]),
+    ],
+)
+def test_an_invalid_calibration_is_refused(tmp_path, changes, words):
+    with pytest.raises(InputError) as refusal:
+        plan(tmp_path, **changes)
+    assert all(word in str(refusal.value) for word in words), str(refusal.value)
+
+
 def test_plans_differ_by_their_values_and_not_by_their_ports(tmp_path):
     one = plan(tmp_path / "one")
     other = plan(tmp_path / "other", wavelengths="[500, 560]", darks="7")

@@ -41,7 +41,7 @@ use rule stage_template as calibration with:
 
 use rule stage_template as primary with:
     input:
-        **results_of("reduced", "calibration"),
+        **results_of("reduced", "calibration", "index"),
     output:
         primary="{material}/primary-{side}.nc",
 

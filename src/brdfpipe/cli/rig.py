@@ -1,4 +1,4 @@
-"""The commands of a rig: ``brdfpipe rig new``, ``doctor``, ``scan``, ``watch``, ``next`` and ``emulate``.
+"""The commands of a rig: ``brdfpipe rig new``, ``doctor``, ``scan``, ``watch``, ``next``, ``directions`` and ``emulate``.
 
 Exit codes: 0 done, 1 a device failed or the scan stopped before its end, 2 the command or a description cannot be used, 130 interrupted.
 """
@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from brdfpipe.cli.console import FILE, FOLDER, exit_on_error
-from brdfpipe.errors import BrdfpipeError, InputError
+from brdfpipe.errors import BrdfpipeError, InputError, abbreviated
 
 if TYPE_CHECKING:
     from brdfpipe.bsdf.base import Representation
@@ -158,6 +158,44 @@ def propose_next(results: Path, plan_file: Path) -> int:
     return 0
 
 
+@rig.command(short_help="Find the directions of the fibres.")
+@click.argument("run", type=FOLDER)
+@click.option("--out", type=click.Path(path_type=Path, dir_okay=False), default=None, help="A new fibres.csv to write.")
+@exit_on_error
+def directions(run: Path, out: Path | None) -> int:
+    """Find the directions of the fibres in a RUN of a plan with `runs: [target, mirror]`."""
+    import numpy as np
+
+    from brdfpipe import store
+    from brdfpipe.rig.description import fibre_table
+    from brdfpipe.rig.frames import read_run
+    from brdfpipe.rig.plan import PLAN, Plan
+    from brdfpipe.rig.reduction.mirror_frames import calibrate_directions
+
+    if out is not None and out.exists():
+        raise InputError(
+            out, "the file exists already", accepted="another --out: a run keeps the table it was taken with"
+        )
+    frames, rig = read_run(run), Plan.load(run / PLAN).rig
+    found = calibrate_directions(frames, rig)
+    known = np.isfinite(found.moved)
+    lost = [fibre.name for fibre, is_known in zip(rig.fibres, known, strict=True) if not is_known]
+    u = found.directions.u[: known.size][known]
+    click.echo(
+        f"{known.sum()} of {known.size} fibres: {np.median(found.moved[known]):.2f}° from {rig.name}'s table (median), at most "
+        f"{found.moved[known].max():.2f}°; u {np.median(u):.2f}° (median), at most {u.max():.2f}°"
+    )
+    click.echo(f"mount turned by {found.directions.turn:.2f}° against the disc; misfit {found.directions.misfit:.1%}")
+    if lost:
+        click.echo(f"not lit well enough, and as described: {abbreviated(lost, 12)}")
+    if out is not None:
+        store.write_text(
+            out, fibre_table(found.fibres, f"Directions found on {frames.attrs['day']} with a turned mirror.")
+        )
+        click.echo(f"{out}: name it in rig.yaml (`fibres.file`) before the next measurement")
+    return 0
+
+
 @rig.command()
 @click.argument("description", metavar="RIG.yaml", type=FILE)
 @click.option(
@@ -178,8 +216,9 @@ def emulate(
 ) -> int:
     """Emulate a rig on its own serial ports, until Ctrl-C.
 
-    Type what an operator does by hand: the entrance in degree, the load of the holder (sample, etalon, target or
-    dark-trap), and the side (reflection or transmission).
+    Type what an operator does by hand: the entrance in degree, the load of the holder (sample, etalon, target, mirror
+    or dark-trap; line-lamp for another lamp), the side (reflection or transmission), and of a mirror the direction to
+    which it sends the light.
     """
     from brdfpipe.rig.description import Rig
     from brdfpipe.rig.emulator.clock import VirtualClock
@@ -284,7 +323,8 @@ def _apply_typed_arrangements(emulated: EmulatedRig) -> None:
     for words in filter(None, map(str.split, sys.stdin)):
         try:
             entrance, load, side = [*words, *_DEFAULT_ARRANGEMENT[len(words) :]][:3]
-            emulated.set_entrance(_degrees(entrance), load=load, side=side)
+            aim = (_degrees(words[3]), _degrees(words[4])) if len(words) == 5 else None
+            emulated.set_entrance(_degrees(entrance), load=load, side=side, aim=aim)
             click.echo(f"{_degrees(entrance):g} degree, {load}, {side}")
         except BrdfpipeError as refusal:
             click.echo(str(refusal))

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import csv
 import hashlib
+import io
 from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -222,6 +223,18 @@ def read_fibres(path: Path) -> tuple[Fibre, ...]:
     if repeated := _repeated(fibre.name for fibre in fibres):
         raise InputError(path, "duplicate fibre name", found=repeated, accepted="each name once")
     return fibres
+
+
+def fibre_table(fibres: Iterable[Fibre], remark: str) -> str:
+    """The table of fibres as CSV, with a remark on its first line."""
+    text = io.StringIO()
+    text.write(f"# {remark}\n")
+    table = csv.writer(text, lineterminator="\n")
+    table.writerow((*COLUMNS, DIRECTION_COLUMN))
+    for fibre in fibres:
+        angles = f"{fibre.theta_s:.3f}", f"{fibre.phi_s:.3f}"
+        table.writerow((fibre.name, *angles, f"{fibre.x:g}", f"{fibre.y:g}", f"{fibre.u:.3g}"))
+    return text.getvalue()
 
 
 def read_csv(path: Path) -> list[tuple[str, list[str]]]:

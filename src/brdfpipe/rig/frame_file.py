@@ -189,8 +189,20 @@ def _planned_cards(shot: Shot, plan: Plan) -> Cards:
         "PURPOSE": (shot.purpose, "sample, etalon, target, dark or drift"),
         "SIDE": (shot.arrangement.side, "reflection or transmission"),
         "STEP": (shot.step, "number in the bracket, 0 for none"),
+        **_aim_cards(shot),
         "RIGNAME": (rig.name, "rig"),
         "RIGHASH": (rig.digest, ""),
+    }
+
+
+def _aim_cards(shot: Shot) -> Cards:
+    """Keywords of a turned mirror; other frames have none."""
+    if shot.arrangement.aim is None:
+        return {}
+    theta, phi = shot.arrangement.aim
+    return {
+        "AIMTHETA": (theta, "angle to which the mirror sends light [degree]"),
+        "AIMPHI": (phi, "its azimuth [degree]"),
     }
 
 

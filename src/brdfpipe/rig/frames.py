@@ -14,7 +14,7 @@ from brdfpipe import vocabulary
 from brdfpipe.errors import InputError, abbreviated
 from brdfpipe.rig.acquisition import journal as journals
 from brdfpipe.rig.frame_file import Frame, FrameError, read_frame, utc
-from brdfpipe.rig.plan import FRAMES, JOURNAL, PLAN, Arrangement, Plan, Shot
+from brdfpipe.rig.plan import FRAMES, JOURNAL, LINE_LAMP, MIRROR, PLAN, Arrangement, Plan, Shot
 
 EMULATED = "emulated"
 """Part of the name of an emulated camera. A camera behind a drop folder is named by its folder."""
@@ -113,6 +113,9 @@ def frames_dataset(frames: Mapping[Shot, Frame], plan: Plan) -> xr.Dataset:
         "elapsed": [frames[shot].elapsed for shot in shots],
         "temperature": [frames[shot].temperature for shot in shots],
     }
+    if any(shot.arrangement.aim for shot in shots):
+        aims = [shot.arrangement.aim or (np.nan, np.nan) for shot in shots]
+        coordinates |= {"aim_theta": [theta for theta, _ in aims], "aim_phi": [phi for _, phi in aims]}
     dataset = xr.Dataset(
         {"counts": (("frame", "y", "x"), counts)},
         coords={name: ("frame", np.asarray(values)) for name, values in coordinates.items()},
@@ -122,6 +125,7 @@ def frames_dataset(frames: Mapping[Shot, Frame], plan: Plan) -> xr.Dataset:
             "rig": plan.rig.name,
             "rig_digest": plan.rig.digest,
             "drift_tolerance": plan.drift.tolerance,
+            **({"line_tolerance": plan.lines.tolerance, "lines": list(plan.lines.lines)} if plan.lines else {}),
             "camera": ", ".join(sorted({frame.camera for frame in frames.values()})),
         },
     )
@@ -131,7 +135,9 @@ def frames_dataset(frames: Mapping[Shot, Frame], plan: Plan) -> xr.Dataset:
 
 
 def _is_requested(shot: Shot, incidence: float | None) -> bool:
-    return shot.purpose in ("dark", "target", "drift") or incidence in (None, shot.arrangement.incidence)
+    if shot.purpose == MIRROR:
+        return incidence is None
+    return shot.purpose in ("dark", "target", LINE_LAMP, "drift") or incidence in (None, shot.arrangement.incidence)
 
 
 def _repeats_monitor_reading(shot: Shot, plan: Plan) -> bool:

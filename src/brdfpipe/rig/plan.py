@@ -19,6 +19,7 @@ from brdfpipe.descriptions import reading
 from brdfpipe.errors import InputError
 from brdfpipe.rig.description import SENSOR_KEYS, Rig
 from brdfpipe.rig.plan_keys import PlanKeys
+from brdfpipe.rig.turned_mirror import Aim, grid
 
 TRANSMISSION_LIMIT = 75.0
 """Incidence [degree] from which no transmission can be measured."""
@@ -27,6 +28,15 @@ DRIFT_WAVELENGTH = 550.0
 """Nanometres; the lamp is read at the plan's wavelength nearest to it."""
 
 MAX_SHOTS = 99_999
+
+LINE_RANGE = 0.9
+"""Distance from a line up to which it is read, in widths of the slit."""
+
+LINE_PLACES = tuple(place / 4 for place in range(-4, 5))
+"""Places within that distance."""
+
+LINE_LAMP, MIRROR = "line-lamp", "mirror"
+"""Loads, and purposes of the frames, of a check of the wavelength and of a calibration of the fibres."""
 
 ETALON_AFTER = "etalon-after"
 """Purpose of the frames of an etalon that is measured again after the sample."""
@@ -51,17 +61,32 @@ class Drift:
 
 
 @dataclass(frozen=True)
+class LineCheck:
+    """Lines whose wavelengths are read; meaning and units as of the keys in plan.yaml."""
+
+    lines: tuple[float, ...]
+    step: int
+    tolerance: float
+
+    def wavelengths(self, slit: float) -> tuple[float, ...]:
+        """At which the lines are read [nm]: evenly over the band of a slit [nm] about each."""
+        return tuple(round(line + LINE_RANGE * slit * share, 3) for line in self.lines for share in LINE_PLACES)
+
+
+@dataclass(frozen=True)
 class Arrangement:
     """What an operator arranges by hand."""
 
     load: str
-    """Load of the holder: ``sample``, ``etalon`` or ``target``."""
+    """Load of the holder: ``sample``, ``etalon``, ``target`` or ``mirror``; ``line-lamp`` is a lamp in place of the lamp, whatever is in the holder."""
     side: str
     """``reflection`` or ``transmission``."""
     incidence: float
     """Entrance of the light [degree]."""
     again: bool = False
     """Whether the same was arranged before, in the same run."""
+    aim: Aim | None = None
+    """Direction to which a mirror in the holder sends the light."""
 
     @property
     def purpose(self) -> str:
@@ -76,7 +101,7 @@ class Shot:
     ordinal: int
     """From 1, in the order they are made."""
     purpose: str
-    """``sample``, ``etalon``, ``etalon-after``, ``target``, ``dark`` or ``drift``."""
+    """``sample``, ``etalon``, ``etalon-after``, ``target``, ``mirror``, ``line-lamp``, ``dark`` or ``drift``."""
     arrangement: Arrangement
     wavelength: float
     """Nanometres."""
@@ -120,6 +145,10 @@ class Plan:
     """What a scan does with a bad frame; another choice does not make another plan."""
     exposures: str = field(default="all", compare=False)
     """Which frames of a bracket a scan takes; another choice does not make another plan."""
+    aims: tuple[Aim, ...] = ()
+    """Directions to which the mirror is turned; none without a run of it."""
+    lines: LineCheck | None = None
+    """None without a run of the line lamp."""
 
     @classmethod
     def load(cls, path: str | Path) -> Plan:
@@ -151,6 +180,8 @@ class Plan:
             path=path,
             bad_frames=content["bad_frames"],
             exposures=content["exposures"],
+            aims=grid(**content["mirror"]) if MIRROR in content["runs"] else (),
+            lines=_lines(description),
         )
         _check(description, plan)
         return plan
@@ -166,7 +197,9 @@ class Plan:
     def arrangements(self) -> tuple[Arrangement, ...]:
         """The arrangements that an operator makes, in order."""
         arrangements = {
+            LINE_LAMP: [Arrangement(LINE_LAMP, "reflection", self.rig.etalon_entrance)],
             "target": [Arrangement("target", "reflection", self.rig.etalon_entrance)],
+            MIRROR: [Arrangement(MIRROR, "reflection", self.rig.etalon_entrance, aim=aim) for aim in self.aims],
             "etalon": [Arrangement("etalon", "reflection", entrance) for entrance in self.etalon_entrances],
             "sample": [Arrangement("sample", side, incidence) for side in self.side for incidence in self.incidences],
         }
@@ -189,16 +222,29 @@ class Plan:
         return differences
 
     def _light(self) -> Iterator[Shot]:
-        count = 0
+        count, read = 0, None
         for arrangement in self.arrangements:
-            # The target shows where things are, which no wavelength changes.
-            for wavelength in (self.drift.wavelength,) if arrangement.load == "target" else self.wavelengths:
+            if arrangement.load == LINE_LAMP:
+                yield from self._line_readings(arrangement)
+                continue
+            read = arrangement
+            # Target and mirror show where things are, which no wavelength changes.
+            single = arrangement.load in ("target", MIRROR)
+            for wavelength in (self.drift.wavelength,) if single else self.wavelengths:
                 for number, step in enumerate(self.bracket, start=1):
                     if count % self.drift.every == 0:
                         yield self._lamp_reading(arrangement)
                     yield Shot(0, arrangement.purpose, arrangement, wavelength, step.position, step.exposure, number)
                     count += 1
-        yield self._lamp_reading(arrangement)
+        if read is not None:
+            yield self._lamp_reading(read)
+
+    def _line_readings(self, arrangement: Arrangement) -> Iterator[Shot]:
+        """Another lamp burns: no reading of this one."""
+        assert self.lines is not None
+        step = self.bracket[self.lines.step - 1]
+        for wavelength in self.lines.wavelengths(self.rig.slit):
+            yield Shot(0, LINE_LAMP, arrangement, wavelength, step.position, step.exposure, self.lines.step)
 
     def _lamp_reading(self, arrangement: Arrangement) -> Shot:
         step = self.bracket[self.drift.step - 1]
@@ -242,6 +288,17 @@ def _wavelengths(wavelengths: Any) -> tuple[float, ...]:
     return tuple(round(low + number * step, 3) for number in range(round((high - low) / step) + 1))
 
 
+def _lines(description: reading.Description) -> LineCheck | None:
+    content = description.content
+    if LINE_LAMP not in content["runs"]:
+        return None
+    if "line_lamp" not in content:
+        accepted = "line_lamp: {lines: [435.83, 546.07]}, for example, or runs without line-lamp"
+        raise description.refusal("runs", "no lines of the lamp are stated", accepted=accepted)
+    lamp = content["line_lamp"]
+    return LineCheck(tuple(map(float, lamp["lines"])), lamp["step"], float(lamp["tolerance"]))
+
+
 def _check(description: reading.Description, plan: Plan) -> None:
     """Refuse values that the rig does not allow."""
     refusal, rig = description.refusal, plan.rig
@@ -262,7 +319,12 @@ def _check(description: reading.Description, plan: Plan) -> None:
     if plan.etalon_after and not {"etalon", "sample"} <= {*plan.runs}:
         raise refusal("etalon_after", "the plan does not measure both etalon and sample", accepted="runs with both")
     low, high = rig.wavelengths
-    for key, wavelengths in (("wavelengths", plan.wavelengths), ("drift.wavelength", (plan.drift.wavelength,))):
+    read = () if plan.lines is None else plan.lines.wavelengths(rig.slit)
+    for key, wavelengths in (
+        ("wavelengths", plan.wavelengths),
+        ("drift.wavelength", (plan.drift.wavelength,)),
+        ("line_lamp.lines", read),
+    ):
         if beyond := [wavelength for wavelength in wavelengths if not low <= wavelength <= high]:
             problem = "the rig's monochromator does not reach this wavelength"
             raise refusal(key, problem, f"{beyond[0]:g} nm", f"{low:g} to {high:g} nm (`wavelengths` of the rig)")
@@ -274,8 +336,9 @@ def _check(description: reading.Description, plan: Plan) -> None:
             raise refusal(where, "the rig has no filter at this position", step.position, accepted)
         if step in plan.bracket[:number]:
             raise refusal(f"bracket.{number}", "duplicate frame of the bracket")
-    if plan.drift.step > len(plan.bracket):
-        raise refusal("drift.step", "the bracket has no such frame", plan.drift.step, f"1 to {len(plan.bracket)}")
+    for key, number in (("drift.step", plan.drift.step), ("line_lamp.step", plan.lines.step if plan.lines else 1)):
+        if number > len(plan.bracket):
+            raise refusal(key, "the bracket has no such frame", number, f"1 to {len(plan.bracket)}")
     lights = len(plan.arrangements) * len(plan.wavelengths) * len(plan.bracket)
     shots = lights + lights // plan.drift.every + 2 + plan.darks * 2 * len(plan.bracket)
     if shots > MAX_SHOTS:

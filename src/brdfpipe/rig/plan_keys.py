@@ -25,6 +25,9 @@ EXPOSURES = {
 }
 """Which frames of a bracket a scan takes."""
 
+RESERVED_NAMES = ("etalon", "target", "mirror", "line-lamp")
+"""Loads that no sample may be named like."""
+
 Wavelength = Annotated[float, Field(ge=100, le=20_000, description="a wavelength in nm")]
 Wavelengths = Annotated[list[Wavelength], Items(rising=True), Field(min_length=1, max_length=2000)]
 
@@ -74,6 +77,27 @@ class DriftKeys(Keys):
     tolerance: float = key("relative change of the lamp that gives a warning", default=0.03, gt=0, le=1)
 
 
+class MirrorKeys(Keys):
+    """Directions to which the mirror of a calibration of the fibres sends the light."""
+
+    step: float = key("distance of neighbouring directions", default=20, unit="degree", ge=5, le=45)
+    to: float = key("largest angle from the mirror direction", default=100, unit="degree", ge=10, le=150)
+
+
+class LineLampKeys(Keys):
+    """A check of the wavelength by the lines of a lamp."""
+
+    lines: Wavelengths = key(
+        "wavelengths of the lines in air, a list; for mercury [435.83, 546.07]",
+        required=True,
+        default_words="no check",
+        unit="nm",
+        max_length=16,
+    )
+    step: Annotated[int, WHOLE] = key("frame of the bracket with which lines are read, from 1", default=1, ge=1, le=16)
+    tolerance: float = key("distance from its line that gives a warning", default=0.3, unit="nm", gt=0, le=20)
+
+
 class PlanKeys(Keys):
     """One measurement of one sample on a camera rig."""
 
@@ -85,7 +109,7 @@ class PlanKeys(Keys):
         example="rig.yaml",
     )
     sample: str = key(
-        f"name of the sample, in every frame and of the run's folder; {NAME_WORDS}; not etalon or target",
+        f"name of the sample, in every frame and of the run's folder; {NAME_WORDS}; not {', '.join(RESERVED_NAMES[:-1])} or {RESERVED_NAMES[-1]}",
         required=True,
         pattern=f"^{NAME}$",
         example="sample-1",
@@ -126,11 +150,12 @@ class PlanKeys(Keys):
         "how often the lamp is read through the reference fibre {every, wavelength, step, tolerance}",
         default=DriftKeys.model_construct(),
     )
-    runs: Annotated[list[Annotated[str, OneOf(("target", "etalon", "sample"))]], Items()] = key(
-        "what is measured, in this order: target (the rig's angular target, at one wavelength), etalon and sample",
+    runs: Annotated[list[Annotated[str, OneOf(("line-lamp", "target", "mirror", "etalon", "sample"))]], Items()] = key(
+        "what is measured, in this order: line-lamp (a check of the wavelength), target (the rig's angular target, at one wavelength), "
+        "mirror (the directions of the fibres, at one wavelength), etalon and sample",
         default=["etalon", "sample"],
         min_length=1,
-        max_length=3,
+        max_length=5,
         example=["target", "etalon", "sample"],
     )
     side: Annotated[list[Annotated[str, OneOf(("reflection", "transmission"))]], Items()] = key(
@@ -160,6 +185,16 @@ class PlanKeys(Keys):
         default=False,
         details="The calibration then interpolates between both, and states their difference.",
     )
+    mirror: MirrorKeys = key(
+        "directions to which the mirror is turned {step, to}",
+        default=MirrorKeys.model_construct(),
+        details="See [directions of the fibres](#directions-of-the-fibres).",
+    )
+    line_lamp: LineLampKeys = key(
+        "lines whose wavelengths are read {lines, step, tolerance}",
+        default_words="no check",
+        details="See [wavelengths](#wavelengths).",
+    )
     bad_frames: Annotated[str, OneOf(tuple(BAD_FRAMES))] = key(
         "what a scan does with a frame that its checks find bad: "
         + "; ".join(f"{name}: {words}" for name, words in BAD_FRAMES.items()),
@@ -168,7 +203,7 @@ class PlanKeys(Keys):
 
     @model_validator(mode="after")
     def _check_sample_name(self) -> Self:
-        if self.sample in ("etalon", "target"):
-            accepted = "any name, not etalon or target"
+        if self.sample in RESERVED_NAMES:
+            accepted = f"any name, not {', '.join(RESERVED_NAMES[:-1])} or {RESERVED_NAMES[-1]}"
             raise InputError("", "a reserved name", where="sample", found=repr(self.sample), accepted=accepted)
         return self

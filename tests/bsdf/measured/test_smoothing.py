@@ -12,8 +12,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from brdfpipe import vocabulary
+from brdfpipe.bsdf.measured import basis as bases
 from brdfpipe.bsdf.measured import smoothing
 from brdfpipe.errors import VocabularyError
+from brdfpipe.specular_directions import cos_view
 
 WAVELENGTHS = np.linspace(400, 700, 8)
 CELLS = 531
@@ -249,6 +251,33 @@ def test_without_symmetry_a_lobe_may_lean_to_one_side():
     even, any_ = (smoothing.smooth(primary, mirror_symmetric=option, isotropic=False) for option in (True, False))
     assert rig_primary.rms(smoothing.evaluate(any_, *AT).values[0, 0], truth) < 0.01
     assert rig_primary.rms(smoothing.evaluate(even, *AT).values[0, 0], truth) > 0.1
+
+
+def test_a_lay_has_as_many_harmonics_as_its_narrow_band_needs(monkeypatch):
+    def brushed(_, theta, phi, wavelength):
+        """Slopes three times as large across the lay as along it, on a matt base."""
+        along, across = (np.tan(np.radians(theta / 2)) * wave(np.radians(phi)) for wave in (np.cos, np.sin))
+        brdf = 0.09 + np.exp(-((along / 0.1) ** 2) - (across / 0.3) ** 2)
+        return np.broadcast_to(brdf, (wavelength.size, theta.size))
+
+    def error(smoothed):
+        return np.abs(smoothing.evaluate(smoothed, *at).values[0, 0] / brushed(20.0, *at, np.ones(1))[0] - 1)
+
+    theta, phi = (angle.ravel() for angle in np.meshgrid(np.arange(20.0, 60.0, 4), np.arange(0.0, 181.0, 15)))
+    seen = cos_view(20.0, theta, phi) > 0.1
+    at = theta[seen], phi[seen]
+    primary = rig_primary.measured(brushed, (20.0,))
+    smoothed = smoothing.smooth(primary, isotropic=False)
+    monkeypatch.setattr(smoothing, "_LAY_HARMONICS", (4,))
+    few = smoothing.smooth(primary, isotropic=False)
+    assert bases.from_json(smoothed.attrs["basis"]).harmonics > 4
+    assert np.median(error(smoothed)) < 0.5 * np.median(error(few))
+    assert float(smoothed["chi_squared_dof"].max()) < 0.5 * float(few["chi_squared_dof"].max())
+
+
+def test_a_round_lobe_has_the_fewest_harmonics():
+    round_ = rig_primary.measured(rig_primary.lobe("peak 10 sr-1, 3 degree"), (45.0,))
+    assert bases.from_json(smoothing.smooth(round_, isotropic=False).attrs["basis"]).harmonics == 4
 
 
 def test_normal_incidence_has_no_azimuth():

@@ -117,6 +117,30 @@ def test_the_operator_is_asked_before_each_arrangement_and_only_then(plan, folde
     ]
 
 
+def test_line_lamp_and_mirror_are_scanned_with_their_instructions_and_read_back(tmp_path, folder):
+    text = (
+        small_rig.PLAN
+        + "runs: [line-lamp, mirror]\nline_lamp: {lines: [546.074]}\nmirror: {step: 45, to: 45}\nbad_frames: accept\n"
+    )
+    plan = Plan.load(small_rig.write(tmp_path / "turned", text))
+    asked = []
+
+    def confirm(arrangement, words):
+        asked.append(words)
+        return True
+
+    small_rig.take(plan, small_rig.fake_bench(), folder, confirm=confirm)
+    assert asked[0].endswith("line lamp in place of the lamp")
+    assert "its normal at theta_s = 10.00 and phi_s = 0.00 degree, so that it sends the light to (0, 0)" in asked[1]
+    frames = read_run(folder)
+    mirror = frames.isel(frame=frames["purpose"].values == "mirror")
+    assert np.unique(mirror["aim_theta"].values).tolist() == [0.0, 45.0]
+    assert np.isnan(frames["aim_theta"].values[frames["purpose"].values == "line-lamp"]).all()
+    assert frames.attrs["lines"] == [546.074]
+    # The frames of a sample do not need those of the mirror.
+    assert "mirror" not in read_run(folder, 10.0)["purpose"].values
+
+
 def test_a_slit_that_changed_before_a_resumed_scan_is_warned_of(plan, folder):
     def warnings(slit, **options):
         camera = small_rig.FakeCamera(before=small_rig.failing({9}, DeviceLost("camera", "gone")))

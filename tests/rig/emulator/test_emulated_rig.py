@@ -197,10 +197,11 @@ def test_every_effect_shows(rig, effect):
     def picture(effects):
         stand = EmulatedRig(stage, representation(truth), effects=effects, seed=1)
         stand.restore(50.0 if effect == "warm_up" else 5000.0, 530.0, 2, 0)
-        stand.set_entrance(10, load="etalon" if effect == "certificate" else "sample")
+        load = {"certificate": "etalon", "mirror_angles": "mirror"}.get(effect, "sample")
+        stand.set_entrance(10, load=load, aim=(5.0, 0.0) if load == "mirror" else None)
         return stand.camera.expose(30.0).counts
 
-    off_by_default = {"cosmic": 50.0, "fibre_directions": 0.5}
+    off_by_default = {"cosmic": 50.0, "fibre_directions": 0.5, "wavelength_offset": 8.0}
     changed = dataclasses.replace(base, **{effect: off_by_default.get(effect, getattr(Effects(), effect))})
     assert not np.array_equal(picture(changed), picture(base))
 

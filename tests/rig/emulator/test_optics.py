@@ -458,7 +458,9 @@ def test_the_dark_beside_a_very_bright_lobe_is_not_made_of_rounding():
     ("setup", "says"),
     [
         (Setup(30.0), "no entrance at 30 degree; accepted: 0, 10, 20, 45"),
-        (Setup(20.0, "mirror"), "accepted: sample, etalon, target, dark-trap"),
+        (Setup(20.0, "lens"), "accepted: sample, etalon, target, mirror, dark-trap, line-lamp"),
+        (Setup(20.0, "mirror"), "direction to which the mirror sends the light"),
+        (Setup(20.0, "mirror", "transmission", (0.0, 0.0)), "transmits no light"),
         (Setup(20.0, side="back"), "accepted: reflection, transmission"),
         (Setup(20.0, "etalon", "transmission"), "transmits no light"),
         (Setup(20.0, "target"), "describe it under `target`"),

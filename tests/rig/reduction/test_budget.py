@@ -10,6 +10,7 @@ import rig_accuracy as accuracy
 import rig_emulated
 from rig_reduced import NAMES, brdf_of, directions, reduced
 
+from brdfpipe.optics.index import refractive_index
 from brdfpipe.rig.emulator.effects import Effects
 from brdfpipe.rig.reduction.budget import BY_NAME, TERMS, dominant, terms_of_brdf
 
@@ -54,6 +55,21 @@ def test_polarised_light_counts_by_the_surface_reflection():
     values, terms = sample(lambda theta, phi, nm: 0.1 + np.exp(-theta / 10), polarisation=0.2)
     assert (terms["polarisation"] <= 0.2 * values).all()
     assert terms["polarisation"].max() > 0.01
+
+
+def test_light_of_a_metal_is_polarised_less_than_that_of_a_plastic_of_unknown_index():
+    theta, _ = directions()
+    dataset = reduced("sample", (30.0,)).assign_attrs(polarisation=0.2)
+    values = np.broadcast_to(0.1 + np.exp(-theta / 10), (1, dataset.sizes["wavelength"], theta.size))
+
+    def polarised(index):
+        return terms_of_brdf(dataset, values, np.array([10.0]), index)["polarisation"]
+
+    unknown, plastic, metal = (
+        polarised(spec if spec is None else refractive_index(spec)) for spec in (None, 1.5, {"n": 1.2, "k": 7.0})
+    )
+    assert plastic == pytest.approx(unknown, rel=1e-9)
+    assert 0 < metal.max() < 0.3 * plastic.max()
 
 
 def test_a_direction_counts_by_the_slope_of_the_brdf():

@@ -172,7 +172,7 @@ def test_uncertainty_components_add_in_quadrature_and_state_their_correlation():
     parts = [primary[f"brdf_u_{name}"].values for name in NAMES]
     assert np.sqrt(np.sum(np.square(parts), axis=0)) == pytest.approx(primary["brdf_u"].values, nan_ok=True)
     common = {name for name in NAMES if primary[f"brdf_u_{name}"].attrs["correlation"] == "common"}
-    of_frames = {"repeat", "reference", "certificate", "nd", "glare", "path", "stray"}
+    of_frames = {"repeat", "reference", "certificate", "etalon", "nd", "glare", "path", "stray"}
     assert common == of_frames | {"wavelength", "band", "polarisation", "linearity"}
 
 
@@ -205,10 +205,16 @@ def test_the_etalons_angular_shape_has_the_certified_uncertainty_or_that_of_diff
     seen = above(10.0, 0.15) & (theta < 83)
     true = sample_brdf(10.0, *directions())[:, seen]
     # Cells below the horizon see nothing here.
-    for certified, expected, warning_count in ((stated, 0 * theta, 0), (silent, 0.05 * (theta / 60) ** 2, 1)):
+    tilted = replace(stated, tilt_u=0.1)
+    tangent = np.tan(np.radians(theta)) * np.radians(0.1) / np.sqrt(2)
+    cases = (stated, 0 * theta, 0), (silent, 0.05 * (theta / 60) ** 2, 1), (tilted, tangent, 0)
+    for certified, expected, warning_count in cases:
         primary = apply_profile(sample, calibrate(etalon, certified))
-        relative = (primary["brdf_u_certificate"] / primary["brdf"]).values[0][:, seen]
-        assert relative == pytest.approx(np.tile(np.hypot(0.005, expected[seen]), (5, 1)), rel=1e-6)
+        level, shape = (
+            (primary[f"brdf_u_{name}"] / primary["brdf"]).values[0][:, seen] for name in ("certificate", "etalon")
+        )
+        assert level == pytest.approx(np.full(level.shape, 0.005), rel=1e-6)
+        assert shape == pytest.approx(np.tile(expected[seen], (5, 1)), rel=1e-6, abs=1e-12)
         z = ((primary["brdf"].values[0][:, seen] - true) / primary["brdf_u"].values[0][:, seen])[:, theta[seen] > 30]
         assert np.abs(z).max() < 1.3
         warnings = vocabulary.warnings(calibrate(etalon, certified))

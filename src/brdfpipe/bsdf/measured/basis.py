@@ -29,8 +29,6 @@ RESOLUTION = "resolution"
 GRAZING = (0.05, 0.15)  # scales in cos θ_o of the functions that describe the BSDF towards grazing
 GRAZING_HARMONICS = 1  # of φ
 GRAZING_WIDTH = 30.0  # distance from the mirror direction beyond which these harmonics have their full size [degree]
-FINE = (0, 1, 2, 4)
-"""Harmonics with all knots: a lobe stretched along the plane of incidence needs even ones; others have every second knot."""
 _GRAZING_RESISTANCE = (
     4.0  # of the harmonics of the functions of cos θ_o against a size above 0, over that of the functions themselves
 )
@@ -38,6 +36,11 @@ _LOBE = 12.0  # distance from the mirror direction to which lobes are resolved [
 _PLACES = 8  # places in an interval at which splines are compared
 _MOST_POINTS = 20_000  # largest number of points over the sphere: 1.4° apart
 _AZIMUTHAL = 5.0  # weight of curvature along φ over that along ϑ: lobes vary less around the mirror direction
+
+
+def has_all_knots(k: int) -> bool:
+    """Whether cos kφ has all knots: a lobe stretched along, or across, the plane of incidence needs even k; others have every second knot."""
+    return k == 1 or k % 2 == 0
 
 
 @dataclass(frozen=True)
@@ -91,7 +94,7 @@ class PSpline:
         """The functions (directions, terms) at ϑ and φ [degree] and cos θ_o of the same directions."""
         t = np.arcsinh(np.asarray(theta) / self.scale)
         splines = {fine: self._splines(fine, t).toarray() for fine in (True, False)}
-        blocks = [self._smooth_at_0(k, splines[k in FINE]) * wave[:, None] for k, wave in self._harmonics(phi)]
+        blocks = [self._smooth_at_0(k, splines[has_all_knots(k)]) * wave[:, None] for k, wave in self._harmonics(phi)]
         grazing = _grazing(cosine)
         return np.concatenate(
             [*blocks, *(grazing * wave[:, None] for _, wave in self._grazing_waves(theta, phi))], axis=1
@@ -110,7 +113,7 @@ class PSpline:
             own = coefficient[first + number * len(GRAZING) :][: len(GRAZING)]
             total += grazing @ own * (wave * (odd if k % 2 else even))[:, None]
         for (k, wave), own in zip(self._harmonics(phi), self.of_all_splines(coefficient), strict=True):
-            total += (splines[k in FINE] @ own) * (wave * (odd if k % 2 else even))[:, None]
+            total += (splines[has_all_knots(k)] @ own) * (wave * (odd if k % 2 else even))[:, None]
         return total
 
     def of_all_splines(self, coefficient: Array) -> list[Array]:
@@ -118,7 +121,7 @@ class PSpline:
         parts, start = [], 0
         for k in self.orders.tolist():
             left_out = min(max(k, 1), DEGREE)
-            own = coefficient[start : start + self.knots(k in FINE).size - DEGREE - 1 - left_out]
+            own = coefficient[start : start + self.knots(has_all_knots(k)).size - DEGREE - 1 - left_out]
             start += len(own)
             # The first two splines of k = 0 are one function.
             before = own[:1] if k == 0 else np.zeros((left_out, *own.shape[1:]))
@@ -138,8 +141,10 @@ class PSpline:
         coarse = BSpline.design_matrix(t, knots, DEGREE).toarray()
         blocks = []
         for k in self.orders.tolist():
-            own = self._smooth_at_0(k, self._splines(k in FINE, t).toarray())
-            blocks.append(np.linalg.lstsq(own, self._smooth_at_0(k, coarse))[0] if k in FINE else np.eye(own.shape[1]))
+            own = self._smooth_at_0(k, self._splines(has_all_knots(k), t).toarray())
+            blocks.append(
+                np.linalg.lstsq(own, self._smooth_at_0(k, coarse))[0] if has_all_knots(k) else np.eye(own.shape[1])
+            )
         return np.asarray(block_diag(*blocks, np.eye(len(GRAZING) * self.grazing_orders.size)))
 
     def roughness(self, theta: Array, phi: Array) -> Array:
@@ -170,7 +175,7 @@ class PSpline:
             yield k, wave * rise**k
 
     def _radial(self, k: int, t: Array, derivative: int = 0) -> Array:
-        return self._smooth_at_0(k, self._splines(k in FINE, t, derivative).toarray())
+        return self._smooth_at_0(k, self._splines(has_all_knots(k), t, derivative).toarray())
 
     def _smooth_at_0(self, k: int, splines: Array) -> Array:
         """The splines whose products with cos kφ are smooth at ϑ = 0."""

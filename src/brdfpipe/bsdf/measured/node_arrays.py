@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from brdfpipe.bsdf.measured.basis import FINE, GRAZING, GRAZING_WIDTH, PSpline
+from brdfpipe.bsdf.measured.basis import GRAZING, GRAZING_WIDTH, PSpline, has_all_knots
 from brdfpipe.geometry import Array
 
 if TYPE_CHECKING:
@@ -93,7 +93,7 @@ class Nodes(NamedTuple):
             basis.knots(False),
             basis.orders,
             basis.harmonics + 1,
-            np.isin(basis.orders, FINE).astype(np.int64),
+            np.array([has_all_knots(k) for k in basis.orders.tolist()], dtype=np.int64),
             np.cumsum(sizes) - sizes,
             np.array(GRAZING),
             *error,

@@ -18,7 +18,7 @@ from scipy import sparse
 
 from brdfpipe.geometry import Array
 from brdfpipe.rig.acquisition.estimate import frame_range
-from brdfpipe.rig.plan import Arrangement, Plan, Shot, Step
+from brdfpipe.rig.plan import LINE_LAMP, MIRROR, Arrangement, Plan, Shot, Step
 from brdfpipe.rig.raw_frame import Counts
 from brdfpipe.rig.reduction import cells as rig_cells
 from brdfpipe.rig.screen import linear_limit
@@ -109,7 +109,7 @@ class FrameChoice:
     def before(self, arrangement: Arrangement, wavelength: float) -> frozenset[int]:
         """Steps, from 1, of a bracket that are taken first, by the light at the wavelength before; all without one."""
         everything = frozenset(range(1, len(self.plan.bracket) + 1))
-        if arrangement.load == "target" or arrangement not in self._rates:
+        if arrangement.load in ("target", MIRROR, LINE_LAMP) or arrangement not in self._rates:
             return everything
         rate, peak = self._rates[arrangement]
         return self._kept(arrangement, wavelength, rate, peak * _MARGIN)

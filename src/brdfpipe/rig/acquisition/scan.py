@@ -30,6 +30,7 @@ from brdfpipe.rig.acquisition.devices.connection import RigDevices
 from brdfpipe.rig.acquisition.devices.errors import DeviceError, DeviceLost, WrongDevice
 from brdfpipe.rig.acquisition.estimate import durations
 from brdfpipe.rig.acquisition.frame_choice import FrameChoice
+from brdfpipe.rig.acquisition.instructions import instruction
 from brdfpipe.rig.checks.frame_judge import Finding, FrameJudge
 from brdfpipe.rig.filter_location import check_overlaps
 from brdfpipe.rig.frame_file import WAVELENGTH_TOLERANCE, DeviceState, Frame, FrameError, frame_size, write_frame
@@ -283,23 +284,17 @@ class _Scan:
     def _arrange(self, shot: Shot, advance: Callable[[Shot | None], None]) -> None:
         if shot.arrangement == self._arrangement:
             return
-        instruction = self._instruction(shot)
-        if not self.confirm(shot.arrangement, instruction):
-            raise BrdfpipeError(f"not confirmed: {instruction}")
+        text = self._instruction(shot)
+        if not self.confirm(shot.arrangement, text):
+            raise BrdfpipeError(f"not confirmed: {text}")
         self._arrangement = shot.arrangement
         self.journal.append("confirmed", **_arrangement_record(shot, self.plan), by=self.operator)
         advance(None)
 
     def _instruction(self, shot: Shot) -> str:
         arrangement, arrangements = shot.arrangement, self.plan.arrangements
-        position = {
-            "sample": f"at {arrangement.incidence:g} degree, for {arrangement.side}",
-            "etalon": f"turned to the {arrangement.incidence:g} degree entrance, mirrors set to that entrance",
-            "target": f"mirrors set to the {arrangement.incidence:g} degree entrance",
-        }[arrangement.load]
         number = f"arrangement {arrangements.index(arrangement) + 1} of {len(arrangements)} (frame {shot.ordinal})"
-        again = " again" if arrangement.again else ""
-        return f"{number}: {self.plan.sample_id(arrangement)}{again} in the holder, {position}"
+        return f"{number}: {instruction(arrangement, self.plan.sample_id(arrangement))}"
 
     def _take(self, shot: Shot) -> None:
         raw, state = self._expose(shot)

@@ -17,7 +17,7 @@ from brdfpipe.geometry import Array
 from brdfpipe.rig import screen as screens
 from brdfpipe.rig.checks.frame_summary import FrameSummary, block_directions
 from brdfpipe.rig.description import Rig
-from brdfpipe.rig.plan import ETALON_AFTER, Arrangement, Shot
+from brdfpipe.rig.plan import ETALON_AFTER, LINE_LAMP, MIRROR, Arrangement, Shot
 from brdfpipe.rig.raw_frame import Counts
 from brdfpipe.rig.reduction import cosmic_hits
 from brdfpipe.rig.reduction.arrangements import ENTRANCE_EXCLUSION_RADIUS
@@ -165,6 +165,8 @@ class FrameJudge:
             self._darks.setdefault(shot.exposure, []).append(counts)
             self._mean_darks.pop(shot.exposure, None)
             return
+        if shot.arrangement.load == LINE_LAMP:
+            return
         reference, settings = summary.reference, _settings(shot)
         if reference.offset is not None and self._first_offset is None:
             self._first_offset = reference.offset
@@ -229,6 +231,8 @@ class FrameJudge:
         yield from shifted
         if any(finding.severity == "bad" for finding in shifted):
             return
+        if shot.arrangement.load == LINE_LAMP:
+            return  # beside its lines it is dark
         self._remember_spots(shot, summary)
         yield from self._light_missing(shot, summary, last_of_bracket)
         yield from self._reference_spectrum(shot, summary)
@@ -478,8 +482,8 @@ def _compare(own: _Picture, other: _Picture, rig: Rig) -> Literal["alike", "dist
 
 
 def _cosine(arrangement: Arrangement, theta: Array, phi: Array) -> Array | None:
-    """Relative light of a white, matt surface in an arrangement; None for the target."""
-    if arrangement.load == "target":
+    """Relative light of a white, matt surface in an arrangement; None for target and mirror."""
+    if arrangement.load in ("target", MIRROR):
         return None
     cosine = specular_directions.cos_view_etalon if arrangement.load == "etalon" else specular_directions.cos_view
     return np.maximum(cosine(arrangement.incidence, theta, phi), 1e-9)
@@ -491,7 +495,8 @@ def _settings(shot: Shot) -> tuple[float, int, float]:
 
 def _described(arrangement: Arrangement) -> str:
     side = " in transmission" if arrangement.side == "transmission" else ""
-    return f"the {arrangement.load} at {arrangement.incidence:g}°{side}"
+    aim = "" if arrangement.aim is None else ", turned to ({:g}, {:g})°".format(*arrangement.aim)
+    return f"the {arrangement.load} at {arrangement.incidence:g}°{side}{aim}"
 
 
 def _wavelength_off(shot: Shot, read: float) -> Finding:

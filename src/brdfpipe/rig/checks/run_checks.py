@@ -9,7 +9,7 @@ import xarray as xr
 
 from brdfpipe.rig.checks.frame_judge import Finding, FrameJudge
 from brdfpipe.rig.description import Rig
-from brdfpipe.rig.plan import ETALON_AFTER, Arrangement, Shot
+from brdfpipe.rig.plan import ETALON_AFTER, LINE_LAMP, Arrangement, Shot
 
 
 def run_findings(frames: xr.Dataset, rig: Rig) -> list[tuple[Shot, Finding]]:
@@ -34,10 +34,13 @@ def run_findings(frames: xr.Dataset, rig: Rig) -> list[tuple[Shot, Finding]]:
 
 def _shots(frames: xr.Dataset) -> Iterator[Shot]:
     names = ("shot", "purpose", "load", "side", "incidence", "wavelength", "nd_position", "exposure")
-    for ordinal, purpose, load, side, incidence, wavelength, position, exposure in zip(
-        *(frames[name].values.tolist() for name in names), strict=True
+    none = np.full(frames.sizes["frame"], np.nan)
+    aims = zip(*(frames[name].values if name in frames else none for name in ("aim_theta", "aim_phi")), strict=True)
+    for aim, (ordinal, purpose, load, side, incidence, wavelength, position, exposure) in zip(
+        aims, zip(*(frames[name].values.tolist() for name in names), strict=True), strict=True
     ):
-        arrangement = Arrangement(load, side, incidence, again=purpose == ETALON_AFTER)
+        turned = None if np.isnan(aim[0]) else (float(aim[0]), float(aim[1]))
+        arrangement = Arrangement(load, side, incidence, again=purpose == ETALON_AFTER, aim=turned)
         yield Shot(ordinal, purpose, arrangement, wavelength, position, exposure)
 
 
@@ -56,7 +59,7 @@ def relevant(frames: xr.Dataset, load: str, side: str, incidence: float) -> xr.D
     names = ("wavelength", "nd_position", "exposure")
     settings = list(zip(*(frames[name].values.tolist() for name in names), strict=True))
     monitored = {settings[at] for at in np.flatnonzero(purpose == "drift")}
-    repeated = np.array([setting in monitored for setting in settings]) & (purpose != "dark")
+    repeated = np.array([setting in monitored for setting in settings]) & ~np.isin(purpose, ("dark", LINE_LAMP))
     # Of another arrangement one frame is as good as a monitor reading, and no complete bracket.
     as_monitor = np.where(repeated & ~wanted, "drift", purpose)
     return frames.assign_coords(purpose=("frame", as_monitor)).isel(frame=wanted | repeated)

@@ -34,6 +34,8 @@ class Effects:
     """Share of the light that is missing when the lamp is switched on."""
     drift: float = 0.01
     """Drift of the lamp: relative standard deviation over hours."""
+    wavelength_offset: float = 0.0
+    """Wavelength of the band less that which the monochromator reports [nm], of either sign."""
     splitter_slope: float = 0.02
     """Relative change of the splitter's share for the reference, per 100 nm."""
     paths: float = 0.05
@@ -51,6 +53,8 @@ class Effects:
     """Half angle of the field of view of a fibre [degree]: an end of 1 mm radius at 200 mm."""
     fibre_directions: float = 0.0
     """Distance of the direction of each fibre from the description, in a random azimuth [degree]."""
+    mirror_angles: float = 0.02
+    """Root mean square angle between the normal of a mirror and that to which it was turned [degree]."""
     holes: float = 3.0
     """Angular radius of the entrances, as seen from the sample, which return no light [degree]."""
     stray: float = 2e-5
@@ -96,7 +100,7 @@ class Effects:
     def __post_init__(self) -> None:
         for field in fields(self):
             value, largest = getattr(self, field.name), 1.0 if field.name in _SHARES else np.inf
-            if not 0 <= value <= largest or not np.isfinite(value):
+            if not (field.name in _SIGNED or value >= 0) or not value <= largest or not np.isfinite(value):
                 accepted = "0 to 1" if field.name in _SHARES else "0 or more"
                 raise EmulationError(f"effect `{field.name}` out of range: {value}; accepted: {accepted}")
         if self.halo and not self.halo_radius:
@@ -108,6 +112,8 @@ class Effects:
         zeros: dict[str, Any] = {field.name: False if field.default is True else 0.0 for field in fields(cls)}
         return cls(**zeros)
 
+
+_SIGNED = ("wavelength_offset",)
 
 _SHARES = ("warm_up", "fibres", "dead_fibres", "vignetting", "halo", "hot_pixels")
 

@@ -21,6 +21,7 @@ from brdfpipe.rig.emulator.port import Port
 from brdfpipe.rig.emulator.sample_holder import Etalon, Setup, Truth, check_setup
 from brdfpipe.rig.emulator.sensor import Sensor
 from brdfpipe.rig.raw_frame import RawFrame
+from brdfpipe.rig.turned_mirror import Aim
 
 READOUT = 1.0
 """Seconds to read out a frame."""
@@ -74,16 +75,20 @@ class EmulatedRig:
         self._faults = faults
         self._opened = ExitStack()
 
-    def set_entrance(self, sigma: float, *, load: str = "sample", side: str = "reflection") -> None:
+    def set_entrance(
+        self, sigma: float, *, load: str = "sample", side: str = "reflection", aim: Aim | None = None
+    ) -> None:
         """Manual arrangement: mirrors, and object in the holder. Raises EmulationError if it is impossible.
 
         Parameters
         ----------
         sigma : entrance [degree]; the normal of the etalon points to it
-        load : ``sample``, ``etalon``, ``target`` (the angular target of the description), or ``dark-trap``, which absorbs all light
+        load : ``sample``, ``etalon``, ``target`` (the angular target of the description), ``mirror``, ``dark-trap``, which absorbs all light, or
+            ``line-lamp``: that in place of the lamp
         side : ``reflection``, or ``transmission`` with the hemisphere behind the sample
+        aim : direction about the mirror direction to which the mirror is turned to send the light
         """
-        self.setup = check_setup(Setup(float(sigma), load, side), self.rig)
+        self.setup = check_setup(Setup(float(sigma), load, side, aim), self.rig)
 
     def restore(self, time: float, wavelength: float, position: int, frames: int) -> None:
         """Restore the state after a frame was read. Raises EmulationError if the time is past.

@@ -97,7 +97,7 @@ def automatic_operator(emulated: EmulatedRig) -> Callable[[Arrangement, str], bo
     """An operator who makes every arrangement of an emulated rig."""
 
     def confirm(arrangement: Arrangement, instruction: str) -> bool:
-        emulated.set_entrance(arrangement.incidence, load=arrangement.load, side=arrangement.side)
+        emulated.set_entrance(arrangement.incidence, load=arrangement.load, side=arrangement.side, aim=arrangement.aim)
         return True
 
     return confirm

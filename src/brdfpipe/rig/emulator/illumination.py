@@ -33,6 +33,9 @@ _LINES = np.array(
 )
 """Wavelengths of xenon lines [nm] (NIST Atomic Spectra Database), and heights above the continuum typical of an arc."""
 
+MERCURY = np.array([(404.656, 0.3), (435.833, 0.8), (546.074, 1.0), (576.960, 0.2), (579.066, 0.2)])
+"""Wavelengths of lines of mercury in air [nm] (NIST Atomic Spectra Database), and typical relative heights."""
+
 _LINE_WIDTH = 3.0
 """Standard deviation of a pressure-broadened line [nm]."""
 
@@ -59,12 +62,17 @@ class Illumination:
 
     def band(self, wavelength: ArrayLike) -> tuple[Array, Array]:
         """Quadrature nodes [nm] of the band that the slit transmits, (…, nodes), and the weighted light of the lamp at each."""
-        wavelength = np.asarray(wavelength, dtype=float)[..., None]
+        wavelength = np.asarray(wavelength, dtype=float)[..., None] + self._effects.wavelength_offset
         if not self._effects.slit:
             return wavelength, self._spectrum(wavelength)
         offsets, weights = _SLIT_QUADRATURE
         nodes = wavelength + self._rig.slit * offsets
         return nodes, weights * self._spectrum(nodes)
+
+    def line_lamp(self, wavelength: float) -> float:
+        """Light of a mercury lamp that the slit transmits at a wavelength of the monochromator [nm]: a triangle about each line."""
+        distance = np.abs(wavelength + self._effects.wavelength_offset - MERCURY[:, 0]) / self._rig.slit
+        return float((MERCURY[:, 1] * np.maximum(1 - distance, 0.0)).sum())
 
     def split_ratio(self, wavelength: ArrayLike) -> Array:
         """Share of the light for the reference; the rest reaches the sample."""

@@ -17,7 +17,7 @@ from brdfpipe.geometry import Array
 from brdfpipe.rig.description import Rig
 from brdfpipe.rig.emulator.camera_view import camera_view
 from brdfpipe.rig.emulator.effects import Effects
-from brdfpipe.rig.emulator.illumination import Illumination
+from brdfpipe.rig.emulator.illumination import SPLIT, Illumination
 from brdfpipe.rig.emulator.sample_holder import Etalon, SampleHolder, Setup, Truth
 
 SAMPLE_RATE = 5000.0
@@ -63,6 +63,11 @@ class Optics:
         ``wavelength`` is that of the monochromator [nm], ``position`` that of the filter wheel. Errors as of :meth:`SampleHolder.brightness`.
         """
         transmittance = self.illumination.filter_transmittance(position, wavelength)
+        if setup.load == "line-lamp":
+            lines = self.illumination.line_lamp(wavelength) * SPLIT
+            return np.asarray(
+                (transmittance if self._rig.nd_location == "reference" else 1.0) * lines * self._reference
+            )
         nodes, light = self.illumination.band(wavelength)
         reference = float((light * self.illumination.split_ratio(nodes)).sum())
         if self._rig.nd_location == "reference":

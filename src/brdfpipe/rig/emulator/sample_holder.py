@@ -12,11 +12,13 @@ from scipy.special import ndtr
 from brdfpipe import specular_directions
 from brdfpipe.geometry import Array, unit_vector
 from brdfpipe.rig.description import Rig, Target
+from brdfpipe.rig.emulator import mirror
 from brdfpipe.rig.emulator.camera_view import in_entrance_hole
 from brdfpipe.rig.emulator.effects import Effects, EmulationError, random_stream
 from brdfpipe.rig.emulator.illumination import Illumination
+from brdfpipe.rig.turned_mirror import Aim
 
-LOADS = ("sample", "etalon", "target", "dark-trap")
+LOADS = ("sample", "etalon", "target", "mirror", "dark-trap", "line-lamp")
 SIDES = ("reflection", "transmission")
 
 _CHUNK = 20_000
@@ -46,6 +48,7 @@ class Setup:
     entrance: float
     load: str = "sample"
     side: str = "reflection"
+    aim: Aim | None = None
 
 
 class Truth(Protocol):
@@ -91,7 +94,7 @@ class SampleHolder:
         etalon: Etalon,
     ) -> None:
         self._rig, self._truth, self._illumination = rig, truth, illumination
-        self._effects, self._etalon = effects, etalon
+        self._effects, self._etalon, self._seed, self._session = effects, etalon, seed, session
         deviate = float(random_stream(seed, "certificate", session).standard_normal())
         self._etalon_factor = 1 + effects.certificate * deviate
 
@@ -115,6 +118,9 @@ class SampleHolder:
         elif setup.load == "target":
             assert self._rig.target is not None
             brightness += target_brightness(self._rig.target, theta_s, phi_s)[:, None] * total
+        elif setup.load == "mirror" and setup.aim is not None:
+            normal = mirror.true_normal(setup.entrance, setup.aim, self._effects, self._seed, self._session)
+            brightness += mirror.brightness(setup.entrance, normal, theta_s, phi_s)[:, None] * total
         elif setup.load == "sample" and self._truth is not None:
             _refuse_specular(self._truth, setup)
             cosine = specular_directions.cos_view(setup.entrance, theta_s, phi_s)
@@ -166,10 +172,14 @@ def check_setup(setup: Setup, rig: Rig) -> Setup:
         raise EmulationError(f"unknown object {setup.load!r} in the holder; accepted: {', '.join(LOADS)}")
     if setup.load == "target" and rig.target is None:
         raise EmulationError("the rig has no angular target; describe it under `target` in rig.yaml")
+    if setup.load == "mirror" and setup.aim is None:
+        raise EmulationError(
+            "the direction to which the mirror sends the light is missing; accepted: theta_s and phi_s"
+        )
     if setup.side not in SIDES:
         raise EmulationError(f"unknown side {setup.side!r}; accepted: {', '.join(SIDES)}")
     if setup.side == "transmission":
-        if setup.load in ("etalon", "target"):
+        if setup.load in ("etalon", "target", "mirror"):
             raise EmulationError(f"the {setup.load} transmits no light; accepted: reflection")
         if not 0 <= setup.entrance < 90:
             problem = f"no transmission at an incidence of {setup.entrance:g} degree"

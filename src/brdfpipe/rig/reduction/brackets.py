@@ -28,6 +28,7 @@ _WINDOW = 5  # side of the square about a pixel whose mean light is compared wit
 _FEWEST_PIXELS = 4  # pixels that an overlap needs
 _OVERLAP_U = 1e-3  # relative standard uncertainty of an overlap beyond its noise: accuracy of linearity and dark frames
 _RING = (3.0, 5.0)  # inner and outer distance from the reference spot's edge at which its background is taken [pixel]
+_CLEAR_RING = 0.2  # share of this ring that must be clear of fibres
 _REFERENCE_SNR = 10.0  # smallest ratio of a usable reference spot's light to its noise
 _LAMP_U = 0.01  # relative standard uncertainty of the lamp's light if it is taken from the other frames of a bracket
 
@@ -116,9 +117,22 @@ def locate_reference_spot(rig: Rig, frames: Bracket) -> ReferenceSpot:
         rig_cells.disk(rig.camera, float(centroid.column[0]), float(centroid.row[0]), radius + rig_cells.BLUR + beyond)
         for beyond in (0.0, *_RING)
     )
-    ring = outer - inner
+    ring: sparse.csr_array = _without_fibres(sparse.csr_array(outer - inner), rig)
     outside = outer.toarray().reshape(frames.light.shape[1:]) == 0
-    return ReferenceSpot(inside, sparse.csr_array(ring * (inside.sum() / max(ring.sum(), 1e-9))), outside)
+    return ReferenceSpot(inside, sparse.csr_array(ring * (float(inside.sum()) / max(float(ring.sum()), 1e-9))), outside)
+
+
+def _without_fibres(ring: sparse.csr_array, rig: Rig) -> sparse.csr_array:
+    """The ring without the ends of fibres, whose light is no background; as it is if they cover it."""
+    column, row = screens.to_pixel(rig.screen, [fibre.x for fibre in rig.fibres], [fibre.y for fibre in rig.fibres])
+    pixel_row, pixel_column = np.divmod(ring.indices, rig.camera.width)
+    distance = np.hypot(pixel_row[:, None] - row, pixel_column[:, None] - column)
+    clear = distance.min(axis=1) > rig.screen.fibre_radius * rig.screen.scale + rig_cells.BLUR
+    if clear.mean() < _CLEAR_RING:
+        return ring
+    return sparse.csr_array(
+        (ring.data[clear], (np.zeros(clear.sum(), dtype=int), ring.indices[clear])), shape=ring.shape
+    )
 
 
 def scale_bracket(frames: Bracket, spot: ReferenceSpot, rig: Rig) -> Scale:
@@ -181,13 +195,18 @@ def _solve_with_prior(rows: Array, values: Array, prior_u: Array) -> tuple[Array
 
 def reference_light(frames: Bracket, spot: ReferenceSpot) -> tuple[Array, Array]:
     """Electrons of the reference spot (frame,) and their relative uncertainty; NaN where it is out of range or dark."""
+    total, noise = reference_sums(frames, spot)
+    good = total > _REFERENCE_SNR * noise
+    return np.where(good, total, np.nan), np.where(good, noise / np.where(good, total, 1.0), np.nan)
+
+
+def reference_sums(frames: Bracket, spot: ReferenceSpot) -> tuple[Array, Array]:
+    """Electrons of the reference spot (frame,), NaN where it is out of range, and their standard uncertainty."""
     flat = frames.light.reshape(len(frames.light), -1).T
     total = (spot.inside @ flat - spot.ring @ flat).ravel().astype(float)
     beyond = (spot.inside @ (~frames.usable.reshape(flat.shape[::-1])).T.astype(float)).ravel() > 0
     pixels = float(spot.inside.power(2).sum() + spot.ring.power(2).sum())
-    noise = np.sqrt(np.maximum(total, 0) + pixels * frames.floor)
-    good = ~beyond & (total > _REFERENCE_SNR * noise)
-    return np.where(good, total, np.nan), np.where(good, noise / np.where(good, total, 1.0), np.nan)
+    return np.where(beyond, np.nan, total), np.sqrt(np.maximum(total, 0) + pixels * frames.floor)
 
 
 def _overlaps(frames: Bracket, k: Array, outside: Mask) -> Iterator[tuple[int, int, float, float]]:

@@ -13,9 +13,11 @@ import xarray as xr
 
 from brdfpipe import specular_directions, vocabulary
 from brdfpipe.geometry import Array, unit_vector
+from brdfpipe.optics.fresnel_equations import fresnel
 
 INDEX = 1.5
-"""Refractive index of the surface reflection whose polarisation counts; a face of a higher index polarises less."""
+"""Refractive index of the surface reflection whose polarisation counts, where that of the material is not known; a face of a higher index polarises
+less."""
 
 _NEIGHBOURS = 10  # cells from which the slope of the BRDF about a fibre follows
 _LEAST_DISTANCE = 0.5  # at which the weights of these cells stop growing [degree]
@@ -47,13 +49,14 @@ TERMS = (
     Term("repeat", "light over its reference", "common", "A", "normal", 10, "1", "lamp monitor readings of the run"),
     Term("reference", "light of the reference spot", "common", "A", "normal", _KNOWN, "1", "its photons and read noise"),
     Term("calibration", "noise of the etalon", "independent", "A", "normal", _KNOWN, "1", "frames of the etalon"),
-    Term("certificate", "level and angular shape of the etalon", "common", "B", "normal", _KNOWN, "1", "its certificate"),
+    Term("certificate", "level of the etalon", "common", "B", "normal", _KNOWN, "1", "its certificate"),
+    Term("etalon", "angular shape, flatness and seat of the etalon", "common", "B", "normal", _KNOWN, "tangent of the angle from its normal", "`angles` and `tilt_u` of its certificate"),
     Term("nd", "transmittances of the filters", "common", "B", "normal", _KNOWN, "1 a frame", "rig.yaml and overlapping frames"),
     Term("glare", "veiling glare of the camera", "common", "B", "normal", _KNOWN, "glare over light", "fit between the spots"),
     Term("stray", "light of walls and mirrors", "common", "A", "normal", _KNOWN, "1/BRDF", "cells below the horizon"),
     Term("geometry", "position of the picture, curvature over a cell", "independent", "B", "normal", _KNOWN, "slope of the picture", "registration"),
     Term("directions", "directions of the fibres", "independent", "B", "normal", _KNOWN, "slope of BRDF and cosines over direction", "`u` of fibres.csv"),
-    Term("wavelength", "error of the monochromator", "common", "B", "rectangular", _KNOWN, "slope of BRDF over wavelength", "`monochromator.wavelength_u`"),
+    Term("wavelength", "error of the monochromator", "common", "B", "rectangular", _KNOWN, "slope of BRDF over wavelength", "`monochromator.wavelength_u`, or the offset of lines"),
     Term("band", "width of the band, not corrected", "common", "B", "rectangular", _KNOWN, "curvature of BRDF over wavelength", "`slit`"),
     Term("polarisation", "polarisation of the beam", "common", "B", "rectangular", _KNOWN, "M01/M00 of the surface reflection", "`monochromator.polarisation`"),
     Term("linearity", "linearity of the camera", "common", "B", "rectangular", _KNOWN, "1", "`camera.linearity_u`"),
@@ -75,7 +78,9 @@ class Dominant(NamedTuple):
     """Relative combined standard uncertainty, median over the values"""
 
 
-def terms_of_brdf(reduced: xr.Dataset, brdf: Array, entrances: Array) -> dict[str, Array]:
+def terms_of_brdf(
+    reduced: xr.Dataset, brdf: Array, entrances: Array, index: xr.Dataset | None = None
+) -> dict[str, Array]:
     """The terms that follow from the BRDF itself [1/sr], (incidence, wavelength, cell); missing where it is.
 
     Parameters
@@ -83,6 +88,7 @@ def terms_of_brdf(reduced: xr.Dataset, brdf: Array, entrances: Array) -> dict[st
     reduced : kind ``reduced``, with the sizes of the inputs as attributes, and the coordinate ``direction_u``; what is not there counts as exact
     brdf : (incidence, wavelength, cell) in sr⁻¹; missing where there is no value
     entrances : through which the etalon was measured [degree]
+    index : kind ``index``, of the material; without it :data:`INDEX`
     """
     attrs, wavelength = reduced.attrs, reduced["wavelength"].values
     slope = bend = np.zeros(brdf.shape)
@@ -97,7 +103,7 @@ def terms_of_brdf(reduced: xr.Dataset, brdf: Array, entrances: Array) -> dict[st
         "directions": np.nan_to_num(np.abs(brdf) * _direction_error(reduced, brdf, entrances)),
         "wavelength": np.nan_to_num(slope) * float(attrs.get("wavelength_u", 0.0)),
         "band": np.nan_to_num(bend) * float(attrs.get("slit", 0.0)) ** 2 / 12,
-        "polarisation": float(attrs.get("polarisation", 0.0)) * _polarised(reduced, brdf),
+        "polarisation": float(attrs.get("polarisation", 0.0)) * _polarised(reduced, brdf, index),
         "linearity": np.nan_to_num(np.abs(brdf)) * float(attrs.get("linearity_u", 0.0)),
     }
     return {name: np.where(np.isfinite(brdf), term, np.nan) for name, term in terms.items()}
@@ -146,18 +152,21 @@ def _slope(direction: Array, logarithm: Array, at: Array, axes: Array) -> Array:
     return np.asarray(np.linalg.lstsq(design, (logarithm[:, near] * weight).T)[0][1:].T)
 
 
-def _polarised(reduced: xr.Dataset, brdf: Array) -> Array:
+def _polarised(reduced: xr.Dataset, brdf: Array, index: xr.Dataset | None) -> Array:
     """Part of the BRDF that changes with the polarisation of the beam [1/sr]: M01/M00 of a face, times what is above the darkest cell."""
     incidence = reduced["incidence"].values[:, None]
     towards = specular_directions.cos_view_etalon(incidence, reduced["theta_s"].values, reduced["phi_s"].values)
     cosine = np.sqrt(
         (1 + np.clip(towards, -1, 1)) / 2
     )  # of the angle of incidence on a facet that reflects into the cell
-    inside = np.sqrt(1 - (1 - cosine**2) / INDEX**2)
-    s = ((cosine - INDEX * inside) / (cosine + INDEX * inside)) ** 2
-    p = ((INDEX * cosine - inside) / (INDEX * cosine + inside)) ** 2
+    n, k = np.full(brdf.shape[1], INDEX), np.zeros(brdf.shape[1])
+    if index is not None:
+        n, k = (
+            np.interp(reduced["wavelength"].values, index["wavelength"].values, index[name].values) for name in "nk"
+        )
+    face = fresnel(cosine[:, None], n[:, None], k[:, None])
     lowest = np.nanmin(np.where(brdf > 0, brdf, np.inf), axis=2, keepdims=True)
-    return np.nan_to_num(np.maximum(brdf - lowest, 0.0)) * (np.abs(s - p) / np.maximum(s + p, 1e-12))[:, None]
+    return np.nan_to_num(np.maximum(brdf - lowest, 0.0)) * np.abs(face.s - face.p) / np.maximum(face.s + face.p, 1e-12)
 
 
 def dominant(primary: xr.Dataset) -> list[Dominant]:

@@ -47,7 +47,7 @@ class _EntranceScales(NamedTuple):
     scale: Array  # (entrance, wavelength, cell) BRDF times cos ϑ_st over the signal; missing where there is no light
     independent_u: Array  # (entrance, wavelength, cell) relative uncertainty that is independent from cell to cell
     common_u: dict[str, Array]  # relative uncertainties common to all cells, by component
-    shape_u: Array  # (entrance, cell) relative uncertainty of the certified angular shape
+    shape_u: Array  # (entrance, cell) relative uncertainty of the certified angular shape, and of the angle itself
     facing: NDArray[np.bool_]  # (entrance, cell) whether the cell faces the etalon
 
 
@@ -188,7 +188,7 @@ def _entrance_scales(etalon: xr.Dataset, certificate: Certificate) -> _EntranceS
         brdf * cosine[:, None] / signal,
         np.hypot(relative["noise"], relative["geometry"]),
         {name: relative[name] for name in COMMON},
-        np.stack([certificate.shape_u_at(angles) for angles in theta]),
+        np.stack([np.hypot(certificate.shape_u_at(angles), certificate.tilt_error(angles)) for angles in theta]),
         facing,
     )
 
@@ -267,7 +267,8 @@ def _mean_cell_scales(scales: _EntranceScales, paths: _EntrancePaths, certificat
     relative["reference"] = np.hypot(relative["reference"], (share * paths.u[..., None]).sum(axis=0))
     relative["calibration"] = 1 / np.sqrt(np.where(calibrated, total, np.inf))
     # Level and shape of the etalon's BRDF, the same at every incidence.
-    relative["certificate"] = np.hypot(certificate_u[:, None], (share * scales.shape_u[:, None]).sum(axis=0))
+    relative["certificate"] = np.broadcast_to(certificate_u[:, None], mean.shape)
+    relative["etalon"] = (share * scales.shape_u[:, None]).sum(axis=0)
     dims = ("wavelength", "cell")
     correlation = dict.fromkeys(relative, "common") | {"calibration": "independent"}
     return {"cell_scale": (dims, mean)} | {

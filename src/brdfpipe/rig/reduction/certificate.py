@@ -25,6 +25,7 @@ Diffuse standards are not Lambertian: at normal incidence pressed and sintered P
 and ten and more towards grazing (Weidner & Hsia 1981, J. Opt. Soc. Am. 71, 856; Höpe & Hauer 2010, Metrologia 47, 295).
 """
 
+_GRAZING = 89.0  # angle from the normal up to which a cell may see the etalon [degree]
 _ALL_WAVELENGTHS = (100.0, 20000.0)  # wavelengths that a certificate with one number covers [nm]
 
 
@@ -50,6 +51,8 @@ class Certificate:
     """BRDF over that at 0 degree, at theta."""
     shape_u: Array
     """Its relative standard uncertainty."""
+    tilt_u: float = 0.0
+    """Root mean square angle of the etalon's normal, anywhere on it, from the direction of the light [degree]."""
 
     @classmethod
     def load(cls, path: str | Path) -> Certificate:
@@ -87,6 +90,7 @@ class Certificate:
             theta=angles[:, 0],
             shape=angles[:, 1] / angles[0, 1],
             shape_u=angles[:, 2],
+            tilt_u=content["tilt_u"],
         )
 
     def brdf(self, wavelength: Array, theta: Array) -> tuple[Array, Array]:
@@ -111,6 +115,11 @@ class Certificate:
         angles; beyond the last one it grows by :data:`SHAPE_U`."""
         beyond = SHAPE_U * np.maximum(theta**2 - self.theta[-1] ** 2, 0.0) / SHAPE_U_ANGLE**2
         return np.asarray(np.hypot(np.interp(theta, self.theta, self.shape_u), beyond))
+
+    def tilt_error(self, theta: Array) -> Array:
+        """Relative standard uncertainty by the normal of the etalon, (theta,) [degree]: of the cosine of view, in any azimuth; none beyond the horizon."""
+        slope = np.where(theta < _GRAZING, np.tan(np.radians(np.minimum(theta, _GRAZING))), 0.0)
+        return np.asarray(slope * np.radians(self.tilt_u) / np.sqrt(2))
 
 
 def read_table(path: Path) -> Array:

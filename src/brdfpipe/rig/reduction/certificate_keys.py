@@ -42,6 +42,13 @@ class CertificateKeys(Keys):
         ge=0,
         le=1,
     )
+    tilt_u: float = key(
+        "root mean square angle of the etalon's normal from the direction of the light, by its flatness and its seat in the holder",
+        default=0.1,
+        unit="degree",
+        ge=0,
+        le=5,
+    )
     angles: list[
         Annotated[UncertainRatios | Ratios, Choice(lambda item: 0 if isinstance(item, list) and len(item) > 2 else 1)]
     ] = key(

@@ -28,7 +28,12 @@ _FEWEST_BELOW_HORIZON = 5  # cells below the horizon that a stray-light estimate
 
 
 def apply_profile(
-    reduced: xr.Dataset, profile: xr.Dataset, *, lamp_hours: float = 0.0, override: bool = False
+    reduced: xr.Dataset,
+    profile: xr.Dataset,
+    *,
+    index: xr.Dataset | None = None,
+    lamp_hours: float = 0.0,
+    override: bool = False,
 ) -> xr.Dataset:
     """The BRDF, or BTDF, of each cell.
 
@@ -36,6 +41,7 @@ def apply_profile(
     ----------
     reduced : kind ``reduced``, load ``sample``
     profile : kind ``calibration``
+    index : kind ``index``, of the material, for the component ``polarisation``; without it that of a face of 1.5
     lamp_hours : hours the lamp had run when the sample was measured
     override : use an expired or doubtful profile; recorded in the dataset
 
@@ -84,7 +90,7 @@ def apply_profile(
     above = np.where(cosine > HORIZON, cosine, np.nan)[:, None]
     brdf = (projected - stray[:, None, None]) / above
     parts = {name: part / above for name, part in parts.items()}
-    parts |= terms_of_brdf(reduced, brdf, profile["incidence"].values)
+    parts |= terms_of_brdf(reduced, brdf, profile["incidence"].values, index)
     primary = _primary_dataset(reduced, profile, brdf, parts, cosine)
     return finish(primary, "primary", reduced, doubts).assign_attrs(stray=stray.tolist(), stray_u=stray_u.tolist())
 
@@ -177,7 +183,9 @@ def _uncertainty_components(
     prefix = "signal_u_"
     names = [name.removeprefix(prefix) for name in map(str, reduced.data_vars) if name.startswith(prefix)]
     parts = {name: np.abs(scale) * reduced[prefix + name].values for name in names}
-    for name in (*COMMON, "calibration", "certificate"):
+    for name in (*COMMON, "calibration", "certificate", "etalon"):
+        if f"cell_scale_u_{name}" not in profile:  # a profile of an earlier version, whose shape is in ``certificate``
+            continue
         relative = (profile[f"cell_scale_u_{name}"] / profile["cell_scale"]).values
         parts[name] = np.hypot(parts.get(name, 0.0), np.abs(projected) * relative)
     if reduced.attrs["filter"] != profile.attrs["filter"]:  # the same one would divide out

@@ -19,7 +19,7 @@ from brdfpipe.rig.description import Rig
 from brdfpipe.rig.filter_location import check_overlaps
 from brdfpipe.rig.frames import NOT_MEASURED
 from brdfpipe.rig.plan import Shot
-from brdfpipe.rig.reduction import brackets, etalon_change, exposures, pictures
+from brdfpipe.rig.reduction import brackets, etalon_change, exposures, line_lamp, pictures
 from brdfpipe.rig.reduction.brackets import Bracket, DarkFrames, ReferenceSpot, Scale
 from brdfpipe.rig.reduction.cell_signals import cell_signals
 from brdfpipe.rig.reduction.exposures import Merged
@@ -136,8 +136,11 @@ def reduce(
     reduced = cell_signals(rig, registration, wavelengths, merged, scales, repeat_u)
     reduced = reduced.assign(elapsed=("wavelength", elapsed))
     reduced = reduced.assign(lamp_monitor_readings(frames, chosen, darks, spot, rig))
+    lines = line_lamp.read_lines(frames, rig)
     warnings += [*repeat_warnings, *_cell_warnings(reduced)]
+    warnings += line_lamp.line_warnings(lines, float(frames.attrs.get("line_tolerance", np.inf)))
     reduced = _reduced_dataset(reduced, chosen, rig, registration, warnings)
+    reduced.attrs["wavelength_u"] = line_lamp.wavelength_u(lines, rig.monochromator.wavelength_u)
     return (
         vocabulary.add_history(reduced, f"{hits} isolated bright pixels were removed as cosmic hits.")
         if hits
@@ -371,7 +374,6 @@ def _reduced_dataset(
         "disc_centre": list(registration.screen.disc_centre),
         "disc_centre_u": registration.direction_u,
         "disc_scale_u": registration.scale_u,
-        "wavelength_u": rig.monochromator.wavelength_u,
         "slit": rig.slit,
         "polarisation": rig.monochromator.polarisation,
         "linearity_u": rig.camera.linearity_u,
