@@ -131,11 +131,16 @@ def _of_flakes(bsdf: xr.Dataset) -> list[Judgement]:
     return [form, angles, Judgement("Clear coat", f"{coat}, not measured; gloss and haze follow from it", "")]
 
 
+def _rounded(phase: float) -> str:
+    """A phase variance to three digits, without an exponent where it is large."""
+    return f"{phase:.0f}" if phase >= 100 else f"{phase:.3g}"
+
+
 def _regime(datasets: Datasets) -> Judgement | None:
     if "psd" not in datasets:
         return None
     phase = phase_variances(known_rms_height(datasets["psd"]))
-    finding = "g = " + ", ".join(f"{g:.3g} at {angle}°" for angle, g in phase.items())
+    finding = "g = " + ", ".join(f"{_rounded(g)} at {angle}°" for angle, g in phase.items())
     condition = "Roughness against wavelength (550 nm)"
     if accepted := _accepted_by_scene(datasets):
         return Judgement(condition, f"{finding}; {accepted}", "pass")
@@ -162,7 +167,9 @@ def _regime_of_face(datasets: Datasets, side: str) -> Judgement | None:
     through = (2 * np.pi * sigma * (index - 1) / _WAVELENGTH) ** 2
     reflected = phase_variances(sigma)[20]
     condition = f"Roughness against wavelength (550 nm), {side} face"
-    finding = f"g = {through:.3g} of light that passes along the normal, {reflected:.3g} of reflection at 20°"
+    finding = (
+        f"g = {_rounded(through)} of light that passes along the normal, {_rounded(reflected)} of reflection at 20°"
+    )
     if f"{side}_wave_sigma" in datasets["bsdf"]:
         return Judgement(condition, f"{finding}; waves", "pass")
     advice = "Set `model.optics: auto`"

@@ -174,6 +174,13 @@ def test_a_reflectance_below_the_specular_part_is_clamped_flagged_and_warned_abo
     assert "spectrum.geometry: sce" in vocabulary.warnings(bsdf)[0]
 
 
+def test_the_warning_of_a_reflectance_without_specular_does_not_doubt_that():
+    # A wide surface sends less into the trap than it reflects.
+    bsdf = microfacet.build(samples.beckmann(0.4), index=1.55, spectrum=samples.spectrum(0.001, geometry="sce"))
+    (found,) = [text for text in vocabulary.warnings(bsdf) if "the diffuse part was set to 0" in text]
+    assert "Check the refractive index and the surface" in found
+
+
 def test_the_brdf_of_an_opaque_body_is_0_below_the_horizon():
     bsdf = samples.beckmann_bsdf()
     values = bsdf.bsdf.evaluate([120.0, 30.0, 90.0, 30.0], 0.0, [30.0, 120.0, 30.0, 90.0], 180.0)

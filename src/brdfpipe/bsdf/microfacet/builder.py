@@ -389,6 +389,13 @@ def with_diffuse_reflectance(bsdf: xr.Dataset, diffuse: Array, total: Array) -> 
     )
 
 
+def doubted_geometry(spectrum: xr.Dataset) -> str:
+    """What of the geometry of a spectrum to check where its reflectance is too small; nothing where the specular is stated to be excluded."""
+    return (
+        "" if spectrum.attrs["geometry"] == "sce" else "whether the specular was excluded (`spectrum.geometry: sce`), "
+    )
+
+
 def with_clamping_warning(
     bsdf: xr.Dataset, spectrum: xr.Dataset, clamped: NDArray[np.bool_], deficit: Array, surface_reflectance: str
 ) -> xr.Dataset:
@@ -399,8 +406,8 @@ def with_clamping_warning(
     return vocabulary.add_warning(
         bsdf,
         f"the total reflectance is up to {float(deficit[clamped].max()):.4f} below the {surface_reflectance} at {where.size} wavelengths "
-        f"({where.min():g} to {where.max():g} nm); the diffuse part was set to 0 there. Check whether the specular was excluded "
-        "(`spectrum.geometry: sce`), the refractive index and the surface.",
+        f"({where.min():g} to {where.max():g} nm); the diffuse part was set to 0 there. Check {doubted_geometry(spectrum)}"
+        "the refractive index and the surface.",
     )
 
 

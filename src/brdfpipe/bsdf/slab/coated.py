@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from brdfpipe import hemisphere, vocabulary
 from brdfpipe.bsdf.base import UNRESOLVED_SLOPE
-from brdfpipe.bsdf.microfacet.builder import index_on, wavelengths_of
+from brdfpipe.bsdf.microfacet.builder import doubted_geometry, index_on, wavelengths_of
 from brdfpipe.bsdf.microfacet.gloss_trap import trap_of
 from brdfpipe.bsdf.microfacet.microsurface import Microsurface, ModelError
 from brdfpipe.bsdf.representations.coated import Coated
@@ -395,7 +395,7 @@ def _with_fluxes(
         bsdf,
         f"the total reflectance is out of the range of a body below this coat at {where.size} wavelengths ({where.min():g} to "
         f"{where.max():g} nm), between {float(faces.min()):.4f} of the faces alone and {float((faces + unit * most).max()):.4f} of a body "
-        "that absorbs nothing; it is the nearest of these there. Check whether the specular was excluded, the indices and the transmittance",
+        f"that absorbs nothing; it is the nearest of these there. Check {doubted_geometry(spectrum)}the indices and the transmittance",
     )
 
 
