@@ -32,12 +32,13 @@ SCAN = "surface: {file: raw.txt, unit: um, pitch: 1"
 COLOUR = "spectrum: {lab: [50, 0, 0], illuminant: D65, observer: 10, geometry: sci}\n"
 FORMS = f"exports: [{', '.join(WRITTEN)}]\n"
 TEMPLATES = {
-    "t-map": f"{SCAN}, scans: [{{file: further.txt}}]}}\nindex: 1.5\n{COLOUR}{FORMS}",
+    "t-map": f"{SCAN}, scans: [{{file: further.txt}}]}}\nindex: 1.5\n{COLOUR}{FORMS}texture: {{pixel: 1}}\n",
     "t-sheet": f"{SCAN}}}\nindex: 1.5\nslab: {{thickness: 2, back: {{file: further.txt, unit: um, pitch: 1}}}}\n{FORMS}",
     "t-gloss": f"surface: {{distribution: measured-gloss}}\nmeasured: {{gloss: {{20: 3.1, 60: 22.4, 85: 48}}}}\nindex: 1.5\n{COLOUR}",
     "t-coat": f"{SCAN}}}\nindex: 1.5\n{COLOUR}coat: {{thickness: 0.04, base: {{index: {{file: raw.txt}}, surface: {{file: further.txt, unit: um, pitch: 1}}}}}}\n",
     "t-paint": "multiangle: {colours: [{geometry: '45:-30', lab: [40, 0, 0]}, {geometry: '45:0', lab: [20, 0, 0]}, "
-    "{geometry: '45:65', lab: [9, 0, 0]}], illuminant: D65, observer: 10, model: flake}\n",
+    "{geometry: '45:65', lab: [9, 0, 0]}], illuminant: D65, observer: 10, model: flake}\n"
+    "texture: {pictures: [{file: raw.png, geometry: diffuse}], pixel: 20}\n",
     "t-table": "table: {file: raw.txt, format: zemax}\n",
     "t-rig": f"surface: {{distribution: ggx, a: 0.3}}\nindex: 1.5\n{COLOUR}"
     "rig: {plan: plan.yaml, emulate: {truth: truth, seed: 1, session: 1}, calibration: bench}\n",
@@ -63,6 +64,16 @@ def main(input, output, params):
     frame.write_text("counts of " + params["material"])
 """
 """What the fake emulator writes beside its journal."""
+
+MAPS = """
+texture_alone = main
+def main(input, output, params):
+    texture_alone(input, output, params)
+    picture = Path(output["texture"]).parent / "exports" / (params["material"] + ".height.png")
+    picture.parent.mkdir(exist_ok=True)
+    picture.write_text("heights of " + params["material"])
+"""
+"""What the fake stage of textures writes beside its dataset."""
 
 SHARED = ("catalogue.nc", "catalogue.csv", "index.html", "catalogue.lock.json")
 """Results of the whole catalogue."""
@@ -177,7 +188,7 @@ def write_material(folder: Path, name: str, text: str) -> None:
     material = folder / name
     material.mkdir(parents=True)
     (material / "material.yaml").write_text(text)
-    for file in ("raw.txt", "further.txt"):
+    for file in ("raw.txt", "further.txt", "raw.png"):
         if file in text:
             (material / file).write_text(f"{name} {file}")
     if "rig:" in text:
@@ -192,8 +203,9 @@ def write_calibration(folder: Path, name: str) -> None:
 def build_templates(project: Path, base: Path) -> list[Kind]:
     """Build a material of each template; the kinds of files that its jobs wrote, each for the first template that has it."""
     shutil.copytree(PROJECT / "config" / "scenes" / "experience", project / "config" / "scenes" / "experience")
-    script = project / "workflow" / "scripts" / "rig_run.py"
-    script.write_text(script.read_text() + FRAMES)
+    for stage, beside in (("rig_run", FRAMES), ("texture", MAPS)):
+        script = project / "workflow" / "scripts" / f"{stage}.py"
+        script.write_text(script.read_text() + beside)
     for name, text in {"truth": COLOUR, **TEMPLATES}.items():
         write_material(base / "catalogue", name, text)
     write_calibration(base / "catalogue", "bench")
