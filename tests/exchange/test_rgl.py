@@ -105,6 +105,7 @@ def _asymmetric():
     return as_bsdf(ReadTable("specular", axes, values[..., None]), Path("x"))
 
 
+@pytest.mark.cases(1)  # each takes seconds
 @pytest.mark.parametrize(("kind", "part"), [("along", 4), ("turned", 2), ("asymmetric", 1)])
 def test_azimuths_of_incidence_that_a_symmetry_gives_are_not_written(tmp_path, kind, part):
     bsdf = {

@@ -363,6 +363,7 @@ def unwritable(monkeypatch: pytest.MonkeyPatch, *paths: Path) -> None:
     monkeypatch.setattr(os, "access", answer)
 
 
+@pytest.mark.cases(2)
 @pytest.mark.parametrize(
     ("place", "message"),
     [
