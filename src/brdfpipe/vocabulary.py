@@ -413,7 +413,7 @@ QUANTITIES: Mapping[str, Quantity] = {
     "level_pixel": Quantity("um", "side of a pixel of a texture that was tried for a viewing distance", 0),
     "level_difference": Quantity(
         "1",
-        "largest rms difference, over the mean, of the light that an eye sees with this pixel and with the finest",
+        "largest relative difference of the contrasts that an eye sees with this pixel and with the finest",
         0,
     ),
     "unresolved_share": Quantity(

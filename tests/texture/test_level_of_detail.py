@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 import relief_maps
 import samples
-from scipy.ndimage import gaussian_filter
 
 from brdfpipe import facets
+from brdfpipe.texture.eye import eye_blur
 from brdfpipe.texture.height_pixels import central_slopes, pixel_heights
-from brdfpipe.texture.level_of_detail import NOTICEABLE, eye_blur, levels_of_detail, resolved_size
+from brdfpipe.texture.level_of_detail import NOTICEABLE, levels_of_detail
 
 
 @pytest.fixture(scope="module")
@@ -19,19 +19,6 @@ def grain():
     height = relief_maps.gaussian(0.1, 512, 1, 12.0) + relief_maps.gaussian(0.08, 512, 2, 2.5)
     surface = samples.surface(height)
     return surface, facets.estimate(surface)
-
-
-def test_what_an_eye_resolves_is_a_minute_of_arc():
-    assert resolved_size(1.0) == pytest.approx(291, abs=1)
-
-
-def test_the_blur_of_an_eye_is_a_gaussian_of_that_width():
-    light = np.random.default_rng(1).random((64, 64))
-    sigma = resolved_size(0.06) / np.sqrt(8 * np.log(2)) / 2.0
-    assert eye_blur(light, 2.0, 0.06) == pytest.approx(
-        gaussian_filter(light, sigma, mode="wrap", truncate=8), abs=1e-12
-    )
-    assert eye_blur(light, 2.0, 0.06).mean() == pytest.approx(light.mean())
 
 
 def test_only_the_chosen_pixel_has_the_contrast(grain):

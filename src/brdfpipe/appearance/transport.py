@@ -136,7 +136,7 @@ class Table:
         if not self.mirror.any():
             return radiance
         light = _mirrored(points, lights)
-        for in_cell, corners, shares in self._cells(points):
+        for in_cell, corners, shares in self._cells(points, *self._local_views(points)[1:]):
             reflectance = np.stack([self.mirror[corner] for corner in corners])
             radiance[in_cell] = shares @ reflectance
         radiance.reshape(*light.shape, -1)[:] *= light[..., None]
@@ -147,9 +147,9 @@ class Table:
         radiance = np.zeros((len(points.normal), weights.shape[-1]))
         if weights.shape[2] == 0 or not weights.any():
             return radiance
-        frame, lamps = self._local_views(points)[0], filtered(lights)
+        (frame, theta, phi), lamps = self._local_views(points), filtered(lights)
         every = None if near else lamps.in_frames(frame, self.directions)
-        for in_cell, corners, shares in self._cells(points):
+        for in_cell, corners, shares in self._cells(points, theta, phi):
             # (corners, nodes, lights, channels) to (lights, nodes, corners, channels)
             table = np.stack([weights[corner] for corner in corners])
             table = table.reshape(*table.shape[:2], len(lights), -1).transpose(2, 1, 0, 3)
@@ -188,11 +188,11 @@ class Table:
         theta, phi = angles_of(np.einsum("pca,pa->pc", frame, view))
         return frame, np.minimum(theta, self.theta[-1]), phi % 360
 
-    def _cells(self, points: Points) -> Sequence[_Cell]:
-        """Points by cell of the table."""
+    def _cells(self, points: Points, theta: Array, phi: Array) -> Sequence[_Cell]:
+        """Points by cell of the table; ``theta`` and ``phi`` (points,) are their local views [degree]."""
         if self.phi.size == 1:
             return _cells_of_isotropic(points, self.theta.size)
-        return _cells_of(self.theta, self.phi.size, *self._local_views(points)[1:])
+        return _cells_of(self.theta, self.phi.size, theta, phi)
 
 
 class _Cell(NamedTuple):

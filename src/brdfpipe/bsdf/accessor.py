@@ -92,11 +92,11 @@ class BSDFAccessor:
         ------
         VocabularyError : an angle is out of range or in radians, or a wavelength is outside the data; or only some of x, y and texture are given.
         """
-        if not (x is None and y is None and texture is None):
-            if x is None or y is None or texture is None:
-                missing = ", ".join(name for name, one in (("x", x), ("y", y), ("texture", texture)) if one is None)
-                raise VocabularyError(f"places need x, y and texture; missing: {missing}")
+        if x is not None and y is not None and texture is not None:
             return self.textured(texture, rest).evaluate(theta_i, phi_i, theta_o, phi_o, x, y, wavelength)
+        missing = [name for name, one in (("x", x), ("y", y), ("texture", texture)) if one is None]
+        if len(missing) < 3:
+            raise VocabularyError(f"places need x, y and texture; missing: {', '.join(missing)}")
         text = "bidirectional reflectance distribution function"
         angles = _directions(theta_i, phi_i, theta_o, phi_o)
         return self._labelled(self._representation.evaluate, angles, wavelength, "brdf", text, "sr-1")

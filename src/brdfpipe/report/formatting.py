@@ -98,10 +98,17 @@ def value_with_u(value: float, u: float, decimals: int) -> str:
         return fixed(value, decimals)
     if u > _LARGEST_UNCERTAINTY:
         return f"{fixed(value, decimals)} ± {NOT_KNOWN}"
+    shown = decimals_with_u(u, decimals)
+    return f"{fixed(value, shown)} ± {fixed(u, shown)}" if round(u, shown) > 0 else fixed(value, shown)
+
+
+def decimals_with_u(u: float, decimals: int) -> int:
+    """Decimals that an uncertainty leaves to a value: up to two more than ``decimals`` for a small one, none for one from 10 on."""
+    if not u <= _LARGEST_UNCERTAINTY:
+        return decimals
     if u >= 10:
-        return f"{fixed(value, 0)} ± {fixed(u, 0)}"
-    shown = next((digits for digits in range(decimals, decimals + 3) if round(u, digits) > 0), None)
-    return fixed(value, decimals) if shown is None else f"{fixed(value, shown)} ± {fixed(u, shown)}"
+        return 0
+    return next((digits for digits in range(decimals, decimals + 3) if round(u, digits) > 0), decimals)
 
 
 def length(micrometres: float) -> tuple[str, str]:

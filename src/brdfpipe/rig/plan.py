@@ -78,7 +78,7 @@ class Arrangement:
     """What an operator arranges by hand."""
 
     load: str
-    """Load of the holder: ``sample``, ``etalon``, ``target`` or ``mirror``; ``line-lamp`` is a lamp in place of the lamp, whatever is in the holder."""
+    """Load of the holder: ``sample``, ``etalon``, ``target`` or ``mirror``; with ``line-lamp`` a line lamp burns in place of the rig's lamp, whatever is in the holder."""
     side: str
     """``reflection`` or ``transmission``."""
     incidence: float

@@ -21,10 +21,16 @@ def towards_light(entrance: float) -> Array:
     return unit_vector(2 * np.array(entrance), np.zeros(1))[0]
 
 
+def half_vectors(light: Array, directions: Array) -> Array:
+    """Unit vectors (…, 3) halfway between the light (3,) and directions (…, 3)."""
+    half = light + directions
+    # Of a direction opposite to the light there is none.
+    return np.asarray(half / np.maximum(np.linalg.norm(half, axis=-1, keepdims=True), 1e-9))
+
+
 def normals(entrance: float, theta_s: ArrayLike, phi_s: ArrayLike) -> Array:
     """Unit normals (…, 3) of a mirror that sends the light of an entrance to directions [degree]."""
-    half = unit_vector(theta_s, phi_s) + towards_light(entrance)
-    return np.asarray(half / np.linalg.norm(half, axis=-1, keepdims=True))
+    return half_vectors(towards_light(entrance), unit_vector(theta_s, phi_s))
 
 
 def normal_angles(entrance: float, aim: Aim) -> Aim:

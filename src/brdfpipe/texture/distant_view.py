@@ -13,7 +13,7 @@ from brdfpipe.bsdf.registry import representation
 from brdfpipe.errors import BrdfpipeError
 from brdfpipe.geometry import Array
 from brdfpipe.spectra import colorimetry
-from brdfpipe.texture.level_of_detail import eye_blur, resolved_size
+from brdfpipe.texture.eye import eye_blur, resolved_size
 from brdfpipe.texture.picture_texture import DIFFUSE
 from brdfpipe.texture.scan_texture import normals_of
 from brdfpipe.texture.textured import Textured

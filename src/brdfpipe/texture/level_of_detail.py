@@ -13,11 +13,9 @@ import xarray as xr
 
 from brdfpipe.facets.planar_density import PlanarDensity
 from brdfpipe.geometry import Array
+from brdfpipe.texture.eye import eye_blur
 from brdfpipe.texture.height_pixels import central_slopes, largest_pixel, pixel_heights
 from brdfpipe.texture.slope_split import INTERPOLATIONS, LEAST_UNRESOLVED
-
-EYE_RESOLVES = 1 / 60
-"""Angle that an eye of normal acuity resolves [degree] (visual acuity 1.0, ISO 8596)."""
 
 NOTICEABLE = 0.1
 """Relative difference of contrast that an eye does not notice (Legge & Foley 1980, J. Opt. Soc. Am. 70, 1458: 10 to 20 % of a clearly visible contrast)."""
@@ -37,19 +35,6 @@ class Level(NamedTuple):
     """[um]"""
     difference: float
     """Largest difference of the contrast that an eye sees from that of the finest map, over the latter, or over 0.2 where that is less [1]."""
-
-
-def resolved_size(distance: float) -> float:
-    """Side of what an eye resolves at a viewing distance [m], in um."""
-    return float(1e6 * distance * np.radians(EYE_RESOLVES))
-
-
-def eye_blur(light: Array, pixel: float, distance: float) -> Array:
-    """Periodic light (rows, columns) on pixels [um], blurred by an eye at a distance [m]: a Gaussian of one minute of arc, full width at half maximum."""
-    sigma = resolved_size(distance) / np.sqrt(8 * np.log(2)) / pixel
-    frequency = np.hypot(np.fft.rfftfreq(light.shape[1]), np.fft.fftfreq(light.shape[0])[:, None])
-    seen = np.fft.rfft2(light) * np.exp(-2 * (np.pi * sigma * frequency) ** 2)
-    return np.asarray(np.fft.irfft2(seen, s=light.shape))
 
 
 def levels_of_detail(

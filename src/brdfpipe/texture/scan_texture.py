@@ -70,10 +70,8 @@ def of_scan(
             "value_difference": found.likeness.heights,
             "slope_difference": found.likeness.slopes,
             **{name: found.facets[name].variable for name in of_rest},
-            **({"level_difference": ("level_pixel", [one.difference for one in levels])} if levels else {}),
         },
         coords={"x": positions, "y": positions, "texture_frequency": frequency / pixel}
-        | ({"level_pixel": [one.pixel for one in levels]} if levels else {})
         | {name: found.facets[name].variable for name in found.facets.coords},
         attrs={
             "source": "scan",
@@ -82,9 +80,12 @@ def of_scan(
             "seed": seed,
             "interpolation": interpolation,
             "band": str(found.facets.attrs["band"]),
-        }
-        | ({} if distance is None else {"viewing_distance": distance}),
+        },
     )
+    if levels:
+        pixels, differences = zip(*levels, strict=True)
+        texture = texture.assign_coords(level_pixel=list(pixels)).assign_attrs(viewing_distance=distance)
+        texture["level_difference"] = "level_pixel", list(differences)
     return vocabulary.add_warning(vocabulary.label(texture, "texture"), *warnings, *found.warnings)
 
 

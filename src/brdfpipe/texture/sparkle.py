@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from brdfpipe.geometry import Array
+from brdfpipe.texture.eye import blur_width
 
 THRESHOLD = 1.0
 """Least contrast of a sparkle: twice as bright as the background."""
@@ -23,8 +24,6 @@ THRESHOLD = 1.0
 VIEWING_DISTANCE = 0.5
 """Distance of graininess [m]."""
 
-_EYE = 1 / 60
-"""Full width at half maximum of what an eye resolves [degree]."""
 _COARSE = 10.0
 """Width of the background of grains, in widths of the eye."""
 
@@ -85,7 +84,7 @@ def graininess(values: Array, pixel: float, distance: float = VIEWING_DISTANCE) 
     """
     from scipy.ndimage import gaussian_filter
 
-    width = 1e6 * distance * np.radians(_EYE) / pixel / np.sqrt(8 * np.log(2))
+    width = blur_width(distance) / pixel
     relative = values / values.mean()
     fine, coarse = (gaussian_filter(relative, one, mode="wrap") for one in (width, _COARSE * width))
     return float(np.std(fine - coarse))

@@ -21,12 +21,13 @@ from brdfpipe.masking.modes import MULTIPLE_SCATTERING_ADVISED, PHYSICAL_MASKING
 from brdfpipe.report.cards import Section, Table
 from brdfpipe.report.formatting import (
     basis_legend,
+    decimals_with_u,
+    fixed,
     labels,
     number,
     percent,
     plus_minus_u,
     uncertainty_value,
-    value_with_u,
 )
 from brdfpipe.report.plots import bsdf_cuts, bsdf_sections, directional_maps, reflectance
 from brdfpipe.report.plots.svg import Figure
@@ -123,7 +124,7 @@ def _gloss_rows(datasets: Mapping[str, xr.Dataset], appearance: xr.Dataset) -> I
 
 def _with_u(value: float, u: float, decimals: int) -> tuple[str, str]:
     """A value with the digits that its uncertainty leaves, and ``± u``, which is empty where it is not known."""
-    return value_with_u(value, u, decimals).partition(" ± ")[0], plus_minus_u(u)
+    return fixed(value, decimals_with_u(u, decimals)), plus_minus_u(u)
 
 
 def _values(appearance: xr.Dataset, name: str) -> list[tuple[float, float]]:

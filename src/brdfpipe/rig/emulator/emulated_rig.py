@@ -84,7 +84,7 @@ class EmulatedRig:
         ----------
         sigma : entrance [degree]; the normal of the etalon points to it
         load : ``sample``, ``etalon``, ``target`` (the angular target of the description), ``mirror``, ``dark-trap``, which absorbs all light, or
-            ``line-lamp``: that in place of the lamp
+            ``line-lamp``, which burns in place of the rig's lamp
         side : ``reflection``, or ``transmission`` with the hemisphere behind the sample
         aim : direction about the mirror direction to which the mirror is turned to send the light
         """

@@ -9,7 +9,7 @@ import numpy as np
 
 from brdfpipe.geometry import Array, unit_vector
 from brdfpipe.rig.emulator.effects import Effects, random_stream
-from brdfpipe.rig.turned_mirror import Aim, normals, towards_light
+from brdfpipe.rig.turned_mirror import Aim, half_vectors, normals, towards_light
 
 WIDTH = 0.12
 """Of the distribution of slopes."""
@@ -32,8 +32,7 @@ def true_normal(entrance: float, aim: Aim, effects: Effects, seed: int, session:
 def brightness(entrance: float, normal: Array, theta_s: Array, phi_s: Array) -> Array:
     """BRDF × cosine of view [1/sr] of the mirror in directions about the mirror direction of the sample [degree]."""
     light, view = towards_light(entrance), unit_vector(theta_s, phi_s)
-    half = view + light
-    half /= np.maximum(np.linalg.norm(half, axis=-1, keepdims=True), 1e-9)
+    half = half_vectors(light, view)
     cos_i, cos_o, cos_h = float(light @ normal), view @ normal, half @ normal
     seen = (cos_o > 1e-3) & (cos_h > 1e-3)
     cos_o, cos_h = np.where(seen, cos_o, 1.0), np.where(seen, cos_h, 1.0)

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 
 from brdfpipe.geometry import Array, angles_of, unit_vector
-from brdfpipe.rig.turned_mirror import normals, towards_light
+from brdfpipe.rig.turned_mirror import half_vectors, normals, towards_light
 
 LEVEL_U = 0.01
 """Relative standard uncertainty of the light of one aim: evenness of the mirror, repeatability of the reference."""
@@ -127,7 +127,7 @@ def fit_directions(
 
 def _pairs(light: Array, normal: Array, direction: Array, signal: Array, signal_u: Array) -> _Pairs:
     """The pairs of an aim and a cell that is well lit, of cells with enough of them."""
-    half = _half(light, direction)
+    half = half_vectors(light, direction)
     seen = (direction @ normal.T).T > _LEAST_COSINE
     seen &= (normal @ light > _LEAST_COSINE)[:, None]
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -137,11 +137,6 @@ def _pairs(light: Array, normal: Array, direction: Array, signal: Array, signal_
     aim, cell = np.nonzero(used)
     logarithm = np.log(signal[aim, cell] * (normal @ light)[aim])
     return _Pairs(aim, cell, logarithm, np.hypot(relative[aim, cell], _LEAST_NOISE))
-
-
-def _half(light: Array, direction: Array) -> Array:
-    half = light + direction
-    return np.asarray(half / np.linalg.norm(half, axis=-1, keepdims=True))
 
 
 def _tangents(direction: Array) -> Array:
@@ -183,7 +178,7 @@ class _Model:
         normal = self._normal + np.cross(turn, self._normal)
         normal /= np.linalg.norm(normal, axis=1, keepdims=True)
         own_normal, own = normal[pairs.aim], direction[pairs.cell]
-        half = _half(self._light, own)
+        half = half_vectors(self._light, own)
         cosine = np.clip((half * own_normal).sum(axis=1), -1, 1)
         gamma = np.minimum(np.arccos(cosine), self._knots[-1] * (1 - 1e-9))
         design = BSpline.design_matrix(gamma, self._knots, _DEGREE).toarray()

@@ -20,7 +20,7 @@ from brdfpipe.rig.reduction.lamp_monitor import REPEAT_U
 from brdfpipe.rig.reduction.session_registration import centre_disc, register_fibres
 
 _DISC_CELLS = 60
-"""Cells of the disc that tie the mount to the mirror direction: more tell no more than their common direction."""
+"""Cells of the disc that tie the mount to the mirror direction: all share one error, so that more add little."""
 
 
 class MirrorError(BrdfpipeError):
