@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import cast
+
 import numpy as np
 import xarray as xr
 
@@ -27,10 +29,17 @@ def known_uncertainty(bsdf: xr.Dataset) -> bool:
 def uncertainty_in_words(bsdf: xr.Dataset, side: Side) -> list[str]:
     """Relative standard uncertainty (k = 1) of the luminous BSDF: of reflection in the mirror direction, and over all directions of a side.
 
-    Empty where no uncertainty is known, see :func:`known_uncertainty`.
+    Empty where no uncertainty is known, see :func:`known_uncertainty`. All formats of a BSDF say the same: it is kept with the representation.
     """
     if not known_uncertainty(bsdf):
         return []
+    derived, key = representation(bsdf).derived, f"{__name__}, {side}"
+    if key not in derived:
+        derived[key] = _in_words(bsdf, side)
+    return list(cast("list[str]", derived[key]))
+
+
+def _in_words(bsdf: xr.Dataset, side: Side) -> list[str]:
     luminous = nonspectral(bsdf)
     changes = SourceChanges.of(luminous) if uncertain(luminous) else None
     model = representation(luminous) if changes is None else changes.given
