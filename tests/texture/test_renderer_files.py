@@ -65,6 +65,20 @@ def test_every_material_names_the_map(written):
     assert file.get("colorspace") == "none"
 
 
+@pytest.mark.parametrize(
+    ("interpolation", "gltf", "materialx"), [("bilinear", 9729, "linear"), ("nearest", 9728, "closest")]
+)
+def test_renderers_interpolate_between_pixels_as_the_split_assumes(gaussian, tmp_path, interpolation, gltf, materialx):
+    texture, rest = gaussian
+    texture = texture.assign_attrs(interpolation=interpolation)
+    with_renderer_files(texture, rest, tmp_path, "panel", ("gltf", "openpbr"))
+    (sampler,) = json.loads((tmp_path / "panel.textured.gltf").read_text())["samplers"]
+    # Means of normals, as of levels of detail, have smaller slopes than the map.
+    assert (sampler["magFilter"], sampler["minFilter"]) == (gltf, gltf)
+    image = ElementTree.parse(tmp_path / "panel.textured.mtlx").getroot().find("tiledimage")
+    assert image.find("input[@name='filtertype']").get("value") == materialx
+
+
 def test_mitsuba_loads_the_scene(written):
     mitsuba = pytest.importorskip("mitsuba", reason="Mitsuba is not there: make peers")
     before = mitsuba.variant()
