@@ -98,10 +98,10 @@ def facets_of(texture: xr.Dataset) -> xr.Dataset:
     return vocabulary.label(rest, "facets")
 
 
-def map_slopes(texture: xr.Dataset, bins_per_width: float, most: int) -> MapSlopes:
-    """The slopes of the map of a texture as a renderer sees them, in bins (:func:`brdfpipe.texture.slope_split.binned_slopes`)."""
+def map_slopes(texture: xr.Dataset, bins_per_width: float, most: int, places: int = 4) -> MapSlopes:
+    """The slopes of the map of a texture as a renderer sees them, in bins (:func:`brdfpipe.texture.slope_split.binned_slopes`), of so many places between pixels."""
     height, pixel = np.asarray(texture["height"].values, dtype=float), float(texture.attrs["pixel"])
-    seen = interpolated_slopes(*central_slopes(height, pixel), str(texture.attrs["interpolation"]))
+    seen = interpolated_slopes(*central_slopes(height, pixel), str(texture.attrs["interpolation"]), places)
     return binned_slopes(seen, _narrower_rms(texture), bins_per_width, most)
 
 
