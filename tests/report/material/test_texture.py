@@ -30,13 +30,16 @@ def test_there_is_no_section_without_a_texture():
 
 
 def test_a_grain_has_its_tile_its_spectrum_and_its_figures(grain):
-    rest = samples.beckmann_bsdf(0.1).assign_attrs(mean_difference=0.0123)
+    rest = samples.beckmann_bsdf(0.1).assign_attrs(mean_difference=0.0123, lay_difference=0.0345)
     section = texture_section({"texture": grain, "unresolved": rest})
     assert [figure.title for figure in section.figures] == ["Height map, tileable", "Spectrum of the texture"]
     rows = {row[0]: row[1] for row in section.tables[0].rows}
     assert rows["Pixel"] == "4.00 µm"
     assert rows["Slopes left to the BRDF"] == f"{100 * float(grain['unresolved_share']):.2g} %"
     assert rows["Map with the rest, from afar"] == "1.2 %"
+    assert rows["at single azimuths"] == "3.5 %"
+    of_lay = texture_section({"texture": grain, "unresolved": rest.assign_attrs(lay_difference=0.0)})
+    assert "at single azimuths" not in {row[0] for row in of_lay.tables[0].rows}
 
 
 def test_a_viewing_distance_has_the_pixels_that_were_tried():

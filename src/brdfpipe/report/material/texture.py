@@ -152,6 +152,11 @@ def _numbers(texture: xr.Dataset, rest: xr.Dataset | None) -> Table:
                 "rms difference from the BRDF without a map, in lights of 5° about the mirror direction",
             )
         )
+        if rest.attrs["lay_difference"]:
+            lay = f"{100 * float(rest.attrs['lay_difference']):.1f} %"
+            rows.append(
+                ("at single azimuths", lay, "from the mean over azimuths: lay of the map, which the BRDF has not")
+            )
     note = (
         f"Method {texture.attrs['method']}, seed {texture.attrs['seed']}. The map goes with the BRDF of `unresolved.nc`: with that of all facets the slopes of "
         "the map would count twice."
