@@ -17,7 +17,7 @@ from brdfpipe.geometry import Array
 from brdfpipe.texture.illumination import without_gradient
 from brdfpipe.texture.picture_reading import read_picture
 from brdfpipe.texture.sparkle import THRESHOLD, VIEWING_DISTANCE, graininess, sparkle
-from brdfpipe.texture.synthesis import likeness, positive, ring_spectra, synthesise
+from brdfpipe.texture.synthesis import NARROW_OVERLAP, likeness, positive, ring_spectra, synthesise
 
 DIFFUSE = "diffuse"
 """Name of a geometry of light from everywhere."""
@@ -124,7 +124,7 @@ def _flake_angle(geometry: str) -> float:
 
 def _of_picture(values: Array, pixel: float, size: int, method: str, seed: int) -> dict[str, Any]:
     sample, gradient = without_gradient(np.asarray(values, dtype=float))
-    tile = positive(1 + synthesise(sample, size, method=method, seed=seed), sample)
+    tile = positive(1 + synthesise(sample, size, method=method, seed=seed, overlap=NARROW_OVERLAP), sample)
     frequency, of_sample, of_tile = ring_spectra(sample, tile - 1)
     remains, points = likeness(sample, tile), sparkle(sample, pixel)
     return {

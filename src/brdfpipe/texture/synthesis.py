@@ -30,8 +30,8 @@ LEAST_SIZE, LARGEST_SIZE = 32, 8192
 _ITERATIONS = 20
 _PIECES = 4
 """Pieces of a map along the shorter side of the sample."""
-_OVERLAP = 0.4
-"""Width over which pieces are blended, over their distance."""
+OVERLAP, NARROW_OVERLAP = 0.4, 0.1
+"""Widths over which pieces are blended, over their distance: of heights, whose slopes must not jump; and of pictures, where a wide blend makes two faint sparkles of one."""
 _CANDIDATES = 300
 _RING_ITERATIONS = 8
 _POSITIVE_ITERATIONS = 30
@@ -54,7 +54,7 @@ class Likeness(NamedTuple):
     """The same of the slopes over one pixel, along x or y."""
 
 
-def synthesise(sample: Array, size: int, *, method: str = METHODS[0], seed: int = 0) -> Array:
+def synthesise(sample: Array, size: int, *, method: str = METHODS[0], seed: int = 0, overlap: float = OVERLAP) -> Array:
     """A periodic map (size, size) that looks like a sample.
 
     Parameters
@@ -63,6 +63,7 @@ def synthesise(sample: Array, size: int, *, method: str = METHODS[0], seed: int 
     size : pixels along either side, 32 to 8192
     method : one of :data:`METHODS`
     seed : the same seed gives the same map
+    overlap : of the pieces of ``structure``, :data:`OVERLAP` or :data:`NARROW_OVERLAP`
 
     Raises
     ------
@@ -79,7 +80,7 @@ def synthesise(sample: Array, size: int, *, method: str = METHODS[0], seed: int 
     if not np.ptp(sample) > 0:
         raise BrdfpipeError("a flat sample has no grain; accepted: heights that vary")
     rng = np.random.default_rng(seed)
-    return _random_phases(sample, size, rng) if method == "spectrum" else _pieces(sample, size, rng)
+    return _random_phases(sample, size, rng) if method == "spectrum" else _pieces(sample, size, rng, overlap)
 
 
 def likeness(sample: Array, tile: Array) -> Likeness:
@@ -170,7 +171,7 @@ def _of_amplitude(height: Array, amplitude: Array) -> Array:
     return np.asarray(np.fft.irfft2(spectrum * scale, s=height.shape))
 
 
-def _pieces(sample: Array, size: int, rng: np.random.Generator) -> Array:
+def _pieces(sample: Array, size: int, rng: np.random.Generator, overlap: float) -> Array:
     """Pieces of the sample on a periodic lattice, blended as normally distributed values."""
     from scipy.special import ndtri
 
@@ -178,7 +179,7 @@ def _pieces(sample: Array, size: int, rng: np.random.Generator) -> Array:
     normal = ndtri((ranks.reshape(sample.shape) + 0.5) / sample.size)
     distance = min(sample.shape) / _PIECES
     count = max(2, round(size / distance))
-    blend = max(2, int(_OVERLAP * size / count))
+    blend = max(2, int(overlap * size / count))
     windows = [_window(size, count, k, blend) for k in range(count)]
     side = max(window.size for _, window in windows)
     if side >= min(sample.shape):
