@@ -22,6 +22,7 @@ surface: {file: KautschukInfiniteFocus.x3p}
 index: 1.52
 spectrum: {file: pvc_white_de.csv, geometry: sci}
 exports: [astm]
+texture: {pixel: 11.4, size: 128, method: structure}
 """
 
 BAD = {
@@ -108,6 +109,16 @@ def test_the_report_shows_what_was_measured(built):
     page = _Text(built[0] / "rubber" / "report.html")
     assert {"svg", "table", "image"} <= page.tags
     for words in ("rubber", "3.40", "0.136", "85.0", "Slope density", "Masking", "Provenance", "missing heights"):
+        assert words in page.text
+
+
+def test_the_rubber_has_a_texture_whose_map_with_the_rest_is_its_brdf(built):
+    rest = brdfpipe.open_dataset(built[0] / "rubber" / "unresolved.nc")
+    # The light of the white body, which the map hardly changes, is part of both.
+    assert 0 < rest.attrs["mean_difference"] < 0.02
+    assert 0 < rest.attrs["lay_difference"] < 0.02
+    page = _Text(built[0] / "rubber" / "report.html")
+    for words in ("Visible structure", "Map with the rest, from afar", "Under a spot at 45as15", "In diffuse light"):
         assert words in page.text
 
 
