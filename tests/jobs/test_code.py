@@ -185,6 +185,17 @@ def test_a_page_template_engine_reruns_reports_alone() -> None:
     assert users == {"report", "summary", "catalogue"}
 
 
+def test_the_digests_of_all_stages_ask_once_for_each_library_and_the_next_build_asks_again(
+    root: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    alone, asked = digest(root), list[str]()
+    monkeypatch.setattr(code, "version", lambda library: asked.append(library) or version(library))
+    for _ in range(2):
+        with code.remember_parsed(root / "parsed.json"):
+            assert digest(root) == digest(root) == alone
+    assert asked == ["numpy", "numpy"]
+
+
 @pytest.mark.parametrize("stage", STAGES.values(), ids=list(STAGES))
 def test_every_stage_has_a_digest_of_its_own(stage: Stage) -> None:
     assert len(code.digest(script(stage), extra_modules=stage.modules)) == 32
