@@ -352,6 +352,12 @@ REGIONS: Mapping[str, Callable[[str], Directions]] = {
 }
 """Directions in which a completed BSDF is compared, by side."""
 
+BEYOND = tuple(region for region in REGIONS if region.startswith("larger"))
+"""Those beyond the last measured incidence."""
+
+REGION_Z_RMS, LARGEST_Z = (0.7, 1.3), {False: 6.0, True: 10.0}
+"""What is wanted of each region: the range of the rms of z, and the largest size of z, of regions beyond the last incidence or not."""
+
 
 def departures(bsdf: xr.Dataset, truth: xr.Dataset, side: str = "reflection") -> dict[str, Departure]:
     """Errors of a completed BSDF by region."""
@@ -636,8 +642,21 @@ def _completed_section(outcomes: Sequence[Outcome]) -> Iterator[str]:
         ("sample", "region", "error 50 / 95", "rms of z", "95th percentile of \\|z\\|", "largest \\|z\\|"), iter(rows)
     )
     yield ""
-    beyond = [f"{sample}: {region} ({z})" for sample, region, _, z, *_ in rows if float(z) > Z_RMS[1]]
-    yield f"Errors exceed the stated uncertainty, with an rms of z above {Z_RMS[1]}: {'; '.join(beyond) or 'nowhere'}."
+    understated = [f"{sample}: {region} ({z})" for sample, region, _, z, *_ in rows if float(z) > REGION_Z_RMS[1]]
+    yield f"Errors exceed the stated uncertainty, with an rms of z above {REGION_Z_RMS[1]}: {'; '.join(understated) or 'nowhere'}."
+    yield ""
+    overstated = [row for row in rows if float(row[3]) < REGION_Z_RMS[0]]
+    yield (
+        f"The stated uncertainty is larger than the errors, with an rms of z below {REGION_Z_RMS[0]}, in {len(overstated)} of {len(rows)} regions, "
+        f"{sum(region in BEYOND for _, region, *_ in overstated)} of them at larger incidences."
+    )
+    yield ""
+    far = [
+        f"{sample}: {region} ({largest})"
+        for sample, region, *_, largest in rows
+        if float(largest) > LARGEST_Z[region in BEYOND]
+    ]
+    yield f"The largest |z| is above {LARGEST_Z[False]:g}, or at larger incidences above {LARGEST_Z[True]:g}: {'; '.join(far) or 'nowhere'}."
     yield ""
     yield (
         "Gloss of the completed BSDF with a nominal gloss meter: mean over the rigs ± its uncertainty from that of the BSDF; the gloss of the truth; "
