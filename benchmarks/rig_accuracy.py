@@ -634,7 +634,8 @@ def _completed_section(outcomes: Sequence[Outcome]) -> Iterator[str]:
         "The smoothed and completed BSDF, with glare, between the cells and beyond them: relative error in per cent "
         "(median / 95th percentile), rms of z, and the 95th percentile of its size (1.96 for a normal distribution). Directions within 10° of the "
         "mirror direction (from behind, of the straight one) and farther away are at cosines of view above "
-        f"{GRAZING:g}; errors are of values from {DARKEST:g} sr⁻¹ on, z of all. Incidences between are {', '.join(f'{angle:g}' for angle in BETWEEN)}°. Errors of a measurement are correlated: with five rigs an rms of z near 1 is uncertain by a third."
+        f"{GRAZING:g}; errors are of values from {DARKEST:g} sr⁻¹ on, z of all. Incidences between are {', '.join(f'{angle:g}' for angle in BETWEEN)}°. Errors of a measurement are correlated: with five rigs an rms of z near 1 is uncertain by a third. "
+        f"The sample with a red edge is measured at {_listed(EDGE_WAVELENGTHS)} nm, and compared between them at {_listed(BETWEEN_WAVELENGTHS)} nm."
     )
     yield ""
     rows = list(_by_region(outcomes))
@@ -665,6 +666,10 @@ def _completed_section(outcomes: Sequence[Outcome]) -> Iterator[str]:
     yield ""
     yield from _table(("sample", "angle", "gloss", "of the truth", "mirror direction", "rms of z"), _by_gloss(outcomes))
     yield ""
+
+
+def _listed(values: Sequence[float]) -> str:
+    return ", ".join(f"{value:g}" for value in values)
 
 
 def _by_region(outcomes: Sequence[Outcome]) -> Iterator[tuple[str, ...]]:
