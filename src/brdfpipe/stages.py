@@ -509,14 +509,19 @@ def _part_of_table(subject: Subject) -> dict[str, Any]:
 
 def _texture(subject: Subject, wildcards: Wildcards) -> dict[str, Any]:
     """The keys of the texture, and the distance from which the scene sees it."""
-    distance = None if subject.scene is None else subject.scene.content.get("viewing_distance")
-    return dict(subject.section("texture")) | ({} if distance is None else {"distance": distance})
+    return dict(subject.section("texture")) | _texture_preview(subject, wildcards)
 
 
 def _picture_texture(subject: Subject, wildcards: Wildcards) -> dict[str, Any]:
     """The keys of the texture, with the geometries of its files."""
     given = {key: value for key, value in subject.section("texture").items() if key != "pictures"}
     return given | {"geometries": [picture["geometry"] for picture in subject.section("texture")["pictures"]]}
+
+
+def _texture_preview(subject: Subject, wildcards: Wildcards) -> dict[str, Any]:
+    """The distance from which the scene sees the texture, where it says so."""
+    distance = None if subject.scene is None else subject.scene.content.get("viewing_distance")
+    return {} if distance is None else {"distance": distance}
 
 
 def _textured_formats(subject: Subject) -> list[str]:
@@ -1049,6 +1054,15 @@ _STAGES = (
         kind="bsdf",
         beside=tuple(f"{{scene}}{{material}}/exports/{{material}}{end}" for end in RENDERER_FILES),
         memory=1500,
+        minutes=1,
+    ),
+    Stage(
+        "texture_preview",
+        "pictures of the visible structure as an eye sees it from a distance",
+        when=_has("texture") & _enabled("preview") & _asked("preview") & _asked("texture"),
+        keys=_config_keys(illuminant="illuminant") | StageKeys(read=_texture_preview),
+        kind="preview",
+        memory=2000,
         minutes=1,
     ),
     *(export.stage for export in EXPORTS),

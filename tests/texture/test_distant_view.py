@@ -12,7 +12,7 @@ from brdfpipe import facets, vocabulary
 from brdfpipe.bsdf import lambert_gauss, microfacet
 from brdfpipe.errors import BrdfpipeError
 from brdfpipe.spectra import colorimetry
-from brdfpipe.texture.distant_view import structure_preview
+from brdfpipe.texture.distant_view import structure_preview, structure_previews
 from brdfpipe.texture.picture_texture import of_pictures
 from brdfpipe.texture.scan_texture import facets_of, of_scan
 from brdfpipe.texture.sparkle import sparkle
@@ -36,6 +36,21 @@ def test_a_spot_shows_sparkles_and_diffuse_light_less_contrast(paint):
     found = [sparkle(one["relative_light"].values, 29.0).density for one in (spot, diffuse)]
     assert found[0] > 2 * found[1]
     assert contrast(spot) > 2 * contrast(diffuse) > 0.02
+
+
+def test_both_lights_are_shown_where_the_texture_has_them(paint):
+    bsdf, texture = paint
+    shown = vocabulary.validate(structure_previews(bsdf, texture, distance=0.2), "preview")
+    spot, diffuse = (structure_preview(bsdf, texture, light=light, distance=0.2) for light in ("spot", "diffuse"))
+    assert np.array_equal(shown["picture"], spot["picture"])
+    assert np.array_equal(shown["picture_in"][0], diffuse["picture"])
+    assert shown["light_of"].values.tolist() == ["diffuse"]
+    assert shown.attrs["contrast"] == pytest.approx([contrast(spot), contrast(diffuse)], rel=0.05)
+    # 256 pixels of half of what an eye resolves at 0.2 m: a minute of arc.
+    assert shown.attrs["picture_width"] == pytest.approx(128 * 200 * np.radians(1 / 60))
+    alone = structure_previews(bsdf, texture.isel(geometry=[0]), distance=0.2)
+    assert "picture_in" not in alone
+    assert len(alone.attrs["contrast"]) == 1
 
 
 def test_structure_fades_with_the_distance_and_the_mean_stays(paint):

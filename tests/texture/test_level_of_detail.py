@@ -8,6 +8,7 @@ import relief_maps
 import samples
 
 from brdfpipe import facets
+from brdfpipe.texture import height_pixels
 from brdfpipe.texture.eye import eye_blur
 from brdfpipe.texture.height_pixels import central_slopes, pixel_heights
 from brdfpipe.texture.level_of_detail import NOTICEABLE, levels_of_detail
@@ -28,6 +29,19 @@ def test_only_the_chosen_pixel_has_the_contrast(grain):
     assert tried[-1].difference <= NOTICEABLE
     assert all(one.difference > NOTICEABLE for one in tried[:-1])
     assert len(tried) > 2
+
+
+def test_missing_heights_are_filled_once_for_all_pixels(grain, monkeypatch):
+    surface, every = grain
+    spoilt = surface.copy(deep=True)
+    spoilt["height"].values[100:110, 100:110] = np.nan
+    filled = []
+    fill = height_pixels._filled
+    monkeypatch.setattr(height_pixels, "_filled", lambda *given: filled.append(1) or fill(*given))
+    tried = levels_of_detail(spoilt, every, finest=2.0, distance=0.5)
+    assert len(tried) > 2
+    assert len(filled) == 1
+    assert np.isnan(spoilt["height"].values).sum() == 100
 
 
 def test_the_pixel_grows_with_the_distance(grain):

@@ -14,7 +14,7 @@ from brdfpipe import facets, optics, vocabulary
 from brdfpipe.bsdf import microfacet
 from brdfpipe.texture.map_files import write_maps
 from brdfpipe.texture.renderer_files import with_renderer_files
-from brdfpipe.texture.scan_texture import of_scan
+from brdfpipe.texture.scan_texture import normals_of, of_scan
 from brdfpipe.texture.unresolved import unresolved_bsdf
 
 INDEX = optics.refractive_index(1.5)
@@ -65,6 +65,20 @@ def test_every_material_names_the_map(written):
     assert file.get("colorspace") == "none"
 
 
+@pytest.mark.parametrize(
+    ("interpolation", "gltf", "materialx"), [("bilinear", 9729, "linear"), ("nearest", 9728, "closest")]
+)
+def test_renderers_interpolate_between_pixels_as_the_split_assumes(gaussian, tmp_path, interpolation, gltf, materialx):
+    texture, rest = gaussian
+    texture = texture.assign_attrs(interpolation=interpolation)
+    with_renderer_files(texture, rest, tmp_path, "panel", ("gltf", "openpbr"))
+    (sampler,) = json.loads((tmp_path / "panel.textured.gltf").read_text())["samplers"]
+    # Means of normals, as of levels of detail, have smaller slopes than the map.
+    assert (sampler["magFilter"], sampler["minFilter"]) == (gltf, gltf)
+    image = ElementTree.parse(tmp_path / "panel.textured.mtlx").getroot().find("tiledimage")
+    assert image.find("input[@name='filtertype']").get("value") == materialx
+
+
 def test_mitsuba_loads_the_scene(written):
     mitsuba = pytest.importorskip("mitsuba", reason="Mitsuba is not there: make peers")
     before = mitsuba.variant()
@@ -80,6 +94,40 @@ def test_mitsuba_loads_the_scene(written):
     finally:
         if before is not None:
             mitsuba.set_variant(before)
+
+
+def test_the_scene_of_mitsuba_has_the_places_of_the_map_where_its_axes_say(gaussian, written):
+    """A diffuser with the normals of the map is as bright as their cosine to the lamp, place by place; a mirrored map is not."""
+    mitsuba = pytest.importorskip("mitsuba", reason="Mitsuba is not there: make peers")
+    before = mitsuba.variant()
+    mitsuba.set_variant("llvm_ad_rgb")
+    try:
+        root = ElementTree.parse(written[0] / "panel--1.textured.xml").getroot()
+        mapped = root.find(".//bsdf[@type='normalmap']")
+        mapped.remove(mapped.find("bsdf"))
+        ElementTree.SubElement(mapped, "bsdf", type="diffuse")
+        path = written[0] / "diffuser.xml"
+        path.write_text(ElementTree.tostring(root, encoding="unicode"))
+        scene = mitsuba.load_file(str(path))
+        picture = np.array(mitsuba.render(scene, spp=16))[..., 0]
+    finally:
+        if before is not None:
+            mitsuba.set_variant(before)
+    # The picture is 1.2 times as wide as the panel, whose lower left corner is that of a tile; rows go downwards.
+    size, tiles, pixels = len(picture), 4, 64
+    at = ((np.arange(size) + 0.5) / size - 0.5) * 1.2 * tiles + tiles / 2
+    inside = np.flatnonzero((at > 0.1) & (at < tiles - 0.1))
+    number = (at[inside] * pixels).astype(int) % pixels
+    shown = picture[::-1][np.ix_(inside, inside)]
+    normals = normals_of(gaussian[0])[np.ix_(number, number)]
+    bright = (normals[..., 0] + normals[..., 2]).clip(0)
+
+    def correlation(values):
+        return np.corrcoef(shown.ravel(), values.ravel())[0, 1]
+
+    assert correlation(bright) > 0.9
+    assert abs(correlation(bright[::-1])) < 0.5
+    assert abs(correlation(bright[:, ::-1])) < 0.5
 
 
 def test_formats_that_are_not_exported_are_not_written(gaussian, tmp_path):

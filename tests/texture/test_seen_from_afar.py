@@ -107,8 +107,8 @@ def test_mitsuba_renders_the_map_from_afar_as_the_full_brdf(make, pixel, tmp_pat
         every, found, slopes = parts(make(2048 if make is ridges else 1024), pixel)
         upright = 1 / np.sqrt(1 + slopes[0] ** 2 + slopes[1] ** 2)
         normals = np.stack([-slopes[0] * upright, -slopes[1] * upright, upright], axis=-1)
-        # The first row of a bitmap is the upper edge of a polygon.
-        bitmap = mitsuba.Bitmap(((normals[::-1] + 1) / 2).astype(np.float32))
+        # The first row of a bitmap is the lower edge of a polygon.
+        bitmap = mitsuba.Bitmap(((normals + 1) / 2).astype(np.float32))
         full, rest = (
             ours.material(bsdf_of(one).assign_attrs(material=name), tmp_path, name, two_sided=False)
             for name, one in (("full", every), ("rest", found.facets))

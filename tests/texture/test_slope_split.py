@@ -90,11 +90,38 @@ def test_the_map_with_the_rest_has_the_slopes_of_all_facets_or_says_how_many_not
 
 def test_normals_between_pixels_are_gentler_than_those_of_pixels():
     p, q = gaussian_map(0.1, 64)
-    x, y = slope_split.interpolated_slopes(p, q)
-    assert x.size == 16 * p.size
+    places = list(slope_split.interpolated_slopes(p, q))
+    assert sum(share * x.size for share, x, _ in places) == pytest.approx(1)
     # The mean square of a linear interpolation of independent values is 2/3 of theirs, along each axis.
-    assert np.mean(x**2 + y**2) == pytest.approx(4 / 9 * np.mean(p**2 + q**2), rel=0.1)
-    assert np.array_equal(slope_split.interpolated_slopes(p, q, "nearest"), (p.ravel(), q.ravel()))
+    mean_square = sum(share * np.sum(x**2 + y**2) for share, x, y in places)
+    assert mean_square == pytest.approx(4 / 9 * np.mean(p**2 + q**2), rel=0.1)
+    ((share, x, y),) = slope_split.interpolated_slopes(p, q, "nearest")
+    assert share == 1 / p.size
+    assert np.array_equal((x, y), (p.ravel(), q.ravel()))
+
+
+def test_slopes_of_a_large_map_are_taken_some_rows_at_a_time(monkeypatch):
+    """Of gentle slopes the normals are linear: between pixels they are those of the rows and columns, those across the border included."""
+    p, q = 1e-5 * gaussian_map(1.0, 12)
+    whole = list(slope_split.interpolated_slopes(p, q))
+    monkeypatch.setattr(slope_split, "_PIXELS_AT_ONCE", 60)
+    parts = list(slope_split.interpolated_slopes(p, q))
+    assert [x.size for _, x, _ in parts] == 16 * [60] + 16 * [60] + 16 * [24]
+    for number, (share, x, _) in enumerate(whole):
+        assert np.concatenate([parts[number + 16 * k][1] for k in range(3)]) == pytest.approx(x, abs=1e-12)
+        assert parts[number][0] == share
+    up, right = 0.375, 0.625
+    below, above = ((1 - right) * one + right * np.roll(one, -1, axis=1) for one in (p, np.roll(p, -1, axis=0)))
+    assert whole[4 * 1 + 2][1] == pytest.approx(((1 - up) * below + up * above).ravel(), abs=1e-12)
+
+
+def test_bins_keep_shares_and_means_of_slopes():
+    places = [(0.25, np.array([0.0, 0.3, 0.6]), np.zeros(3)), (0.05, np.array([0.02, 0.62]), np.array([0.0, 0.4]))]
+    found = slope_split.binned_slopes(places, 0.3)
+    assert found.share.sum() == pytest.approx(1)
+    assert found.slopes @ found.share == pytest.approx([(0.25 * 0.9 + 0.05 * 0.64) / 0.85, 0.05 * 0.4 / 0.85])
+    assert found.share.size == 4
+    assert slope_split.binned_slopes(places, 0.3, most=2).share.size <= 2
 
 
 def test_what_cannot_be_split_is_refused():

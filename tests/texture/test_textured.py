@@ -30,8 +30,8 @@ def gaussian():
     return made(relief_maps.gaussian(0.1, 256, 1, 8.0))
 
 
-def places(texture, per_pixel=4):
-    """Evenly spread over a tile."""
+def places(texture, per_pixel=11):
+    """Evenly spread over a tile, none of them one that the slopes of the map are taken at."""
     pixel, count = texture.attrs["pixel"], texture.sizes["x"] * per_pixel
     at = (np.arange(count) + 0.5) * pixel / per_pixel
     return (one.ravel() for one in np.meshgrid(at, at))

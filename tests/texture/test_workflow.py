@@ -15,7 +15,7 @@ from brdfpipe.scenes.scene import Scene, load_scene
 from brdfpipe.stages import STAGES, Subject
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
-STAGES_OF_TEXTURES = {"texture", "unresolved", "picture_texture"}
+STAGES_OF_TEXTURES = {"texture", "unresolved", "picture_texture", "texture_preview"}
 
 
 @pytest.fixture(scope="module")
@@ -30,8 +30,8 @@ def stages_of(catalogue, name, scene):
 
 def test_a_texture_is_computed_where_a_material_has_the_key_and_the_scene_asks_for_it(catalogue):
     for name in ("catalogue", "metrology-full"):
-        assert stages_of(catalogue, "leather-texture", load_scene(name)) == {"texture", "unresolved"}
-        assert stages_of(catalogue, "sparkling-texture", load_scene(name)) == {"picture_texture"}
+        assert stages_of(catalogue, "leather-texture", load_scene(name)) == {"texture", "unresolved", "texture_preview"}
+        assert stages_of(catalogue, "sparkling-texture", load_scene(name)) == {"picture_texture", "texture_preview"}
         assert stages_of(catalogue, "abs-grain", load_scene(name)) == set()
     for name in ("gloss-sheet", "render-preview", "luminaire-raytrace"):
         assert stages_of(catalogue, "leather-texture", load_scene(name)) == set()
@@ -42,6 +42,7 @@ def test_the_distance_of_a_scene_is_a_parameter_of_the_texture(catalogue):
     content = {**load_scene("catalogue").content, "viewing_distance": 0.7}
     subject = Subject(catalogue["leather-texture"], catalogue.config, (), Scene("mine", content))
     assert STAGES["texture"].parameters(subject)["distance"] == 0.7
+    assert STAGES["texture_preview"].parameters(subject)["distance"] == 0.7
     assert STAGES["unresolved"].parameters(subject) == {"formats": []}
 
 
@@ -84,3 +85,5 @@ def test_the_examples_are_built_with_their_textures(tmp_path):
     for name in ("leather-texture", "sparkling-texture"):
         page = (tmp_path / "results" / name / "report.html").read_text(encoding="utf-8")
         assert "Visible structure" in page
+        assert "Under a spot at 45as15, from 0.500 m" in page
+        assert "In diffuse light, from 0.500 m" in page

@@ -109,6 +109,13 @@ use rule stage_template as unresolved with:
         unresolved="{scene}{material}/unresolved.nc",
 
 
+use rule stage_template as texture_preview with:
+    input:
+        **results_of("bsdf", "texture", "unresolved", "picture_texture"),
+    output:
+        preview="{scene}{material}/texture_preview.nc",
+
+
 # A rule for each format, and each side of the material with separate files.
 for export in EXPORTS:
 

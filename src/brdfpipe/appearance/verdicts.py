@@ -25,7 +25,7 @@ ACCEPTED = "accepted"
 Acceptances = Sequence[Mapping[str, str]]
 """Warnings that a description accepts: ``warning``, a part of its text in any case of letters, and ``reason``."""
 
-_BY_PRODUCTS = ("preview", "table", "lambert_gauss", "texture", "picture_texture", "unresolved")
+_BY_PRODUCTS = ("preview", "table", "lambert_gauss", "texture", "picture_texture", "unresolved", "texture_preview")
 """Stages whose warnings concern a by-product and not the BRDF; exports too, which are recognised by their kind."""
 
 

@@ -16,6 +16,7 @@ from brdfpipe.spectra import colorimetry
 from brdfpipe.texture.eye import eye_blur, resolved_size
 from brdfpipe.texture.picture_texture import DIFFUSE
 from brdfpipe.texture.scan_texture import normals_of
+from brdfpipe.texture.sparkle import VIEWING_DISTANCE
 from brdfpipe.texture.textured import Textured
 
 LIGHTS = ("spot", "diffuse")
@@ -34,7 +35,7 @@ def structure_preview(
     texture: xr.Dataset,
     rest: xr.Dataset | None = None,
     *,
-    distance: float = 0.5,
+    distance: float = VIEWING_DISTANCE,
     light: str = LIGHTS[0],
     illuminant: str = "D65",
     side: int = 256,
@@ -93,6 +94,37 @@ def structure_preview(
         },
     )
     return vocabulary.label(picture, "preview")
+
+
+def structure_previews(
+    bsdf: xr.Dataset,
+    texture: xr.Dataset,
+    rest: xr.Dataset | None = None,
+    *,
+    distance: float = VIEWING_DISTANCE,
+    illuminant: str = "D65",
+) -> xr.Dataset:
+    """Pictures of :func:`structure_preview` under a spot, and in diffuse light where the texture has it.
+
+    Returns
+    -------
+    Dataset of kind ``preview``: ``picture`` under a spot and, of a scan or of pictures with one in diffuse light, ``picture_in`` that light. The attribute ``contrast`` [1] has the
+    rms contrast of each, and ``picture_width`` the side of the pictures [mm]
+    """
+    diffuse = texture.attrs["source"] == "scan" or DIFFUSE in texture["geometry"].values
+    shown = [
+        structure_preview(bsdf, texture, rest, distance=distance, light=light, illuminant=illuminant)
+        for light in (LIGHTS if diffuse else LIGHTS[:1])
+    ]
+    both = shown[0].drop_vars("relative_light")
+    if diffuse:
+        both["picture_in"] = (("lighting", "row", "column", "channel"), shown[1]["picture"].values[None])
+        both = both.assign_coords(
+            light_of=("lighting", [LIGHTS[1]]), illuminant_of=("lighting", [both.attrs["illuminant"]])
+        )
+    contrasts = [float(one["relative_light"].std() / one["relative_light"].mean()) for one in shown]
+    side = both.sizes["row"] * resolved_size(distance) / _PIXELS_PER_EYE / 1000
+    return vocabulary.label(both.assign_attrs(contrast=contrasts, picture_width=side), "preview")
 
 
 def _under_spot(textured: Textured, texture: xr.Dataset) -> Array:

@@ -22,6 +22,8 @@ class Grain(NamedTuple):
 
     height: Array
     """(rows, columns) [um] of mean zero, periodic; the first row at the lowest y."""
+    sample: Array
+    """(rows, columns) [um] of mean zero: the scan on pixels of the same size."""
     pixel: float
     """Side of a pixel [um]."""
     slope_x: Array
@@ -90,6 +92,7 @@ def grain(
         )
     return Grain(
         height,
+        sample,
         pixel,
         *slopes,
         found.facets,

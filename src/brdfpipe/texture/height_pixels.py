@@ -41,7 +41,6 @@ def pixel_heights(surface: xr.Dataset, pixel: float) -> tuple[Array, float]:
     vocabulary.validate(surface, "surface")
     if surface["height"].ndim != 2:
         raise BrdfpipeError("a line profile has no grain to map; accepted: an areal map as `surface.file`")
-    height = surface["height"].values.astype(float)
     pitches = float(surface.attrs["pitch_y"]), float(surface.attrs["pitch_x"])
     least = max(pitches)
     most = largest_pixel(surface)
@@ -51,16 +50,28 @@ def pixel_heights(surface: xr.Dataset, pixel: float) -> tuple[Array, float]:
             f"a pixel of {pixel:g} um is out of range; accepted: {least:.4g} um (the pitch of the scan) to {most:.4g} um ({LEAST_PIXELS} pixels "
             "along its shorter side); set the pixel"
         )
-    missing = np.isnan(height)
+    whole, share = with_all_heights(surface)
+    height = whole["height"].values.astype(float)
+    for axis, pitch in enumerate(pitches):
+        height = _area_means(height, axis, pixel / pitch)
+    return height - height.mean(), share
+
+
+def with_all_heights(surface: xr.Dataset) -> tuple[xr.Dataset, float]:
+    """A surface whose missing heights are filled from their neighbours, and the share of them.
+
+    Raises BrdfpipeError: more than :data:`MOST_MISSING` of them are missing.
+    """
+    missing = np.isnan(surface["height"].values)
     share = float(missing.mean())
     if share > MOST_MISSING:
         raise BrdfpipeError(
             f"{share:.0%} of the heights are missing; accepted: at most {MOST_MISSING:.0%}. Choose a better part with `surface.region`"
         )
-    height = _filled(height, missing) if share else height
-    for axis, pitch in enumerate(pitches):
-        height = _area_means(height, axis, pixel / pitch)
-    return height - height.mean(), share
+    if not share:
+        return surface, 0.0
+    filled = _filled(surface["height"].values.astype(float), missing)
+    return surface.assign(height=surface["height"].copy(data=filled)), share
 
 
 def largest_pixel(surface: xr.Dataset) -> float:

@@ -14,7 +14,7 @@ import xarray as xr
 from brdfpipe.facets.planar_density import PlanarDensity
 from brdfpipe.geometry import Array
 from brdfpipe.texture.eye import eye_blur
-from brdfpipe.texture.height_pixels import central_slopes, largest_pixel, pixel_heights
+from brdfpipe.texture.height_pixels import central_slopes, largest_pixel, pixel_heights, with_all_heights
 from brdfpipe.texture.slope_split import INTERPOLATIONS, LEAST_UNRESOLVED
 
 NOTICEABLE = 0.1
@@ -65,6 +65,8 @@ def levels_of_detail(
     beside it, in both directions along x and y.
     """
     every = _mean_square_slopes(facets)
+    # Once for all pixels.
+    surface, _ = with_all_heights(surface)
     heights, _ = pixel_heights(surface, finest)
     slopes = central_slopes(heights, finest)
     rms = np.sqrt(np.diag(every))

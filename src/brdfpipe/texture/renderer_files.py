@@ -17,6 +17,10 @@ from brdfpipe.exchange import gltf, openpbr, rgl
 from brdfpipe.exchange.registry import FORMATS
 from brdfpipe.texture.file_names import RENDERER_FILES, TEXTURED_FORMATS
 
+_GLTF_FILTERS = {"bilinear": 9729, "nearest": 9728}
+"""LINEAR and NEAREST (Khronos, glTF 2.0 specification, 5.26)."""
+_MATERIALX_FILTERS = {"bilinear": "linear", "nearest": "closest"}
+
 
 def with_renderer_files(
     texture: xr.Dataset, rest: xr.Dataset, folder: Path, name: str, formats: Sequence[str]
@@ -46,7 +50,7 @@ def write_renderer_files(
     folder.mkdir(parents=True, exist_ok=True)
     warnings = []
     writers: dict[str, Callable[[Path], None]] = {
-        "gltf": lambda path: _write_gltf(rest, path, name),
+        "gltf": lambda path: _write_gltf(texture, rest, path, name),
         "openpbr": lambda path: _write_materialx(texture, rest, path, name),
         "rgl": lambda path: _write_mitsuba(texture, rest, path, name),
     }
@@ -66,12 +70,13 @@ def write_renderer_files(
     return tuple(f"{name}{end}" for end in RENDERER_FILES if (folder / f"{name}{end}").exists()), tuple(warnings)
 
 
-def _write_gltf(rest: xr.Dataset, path: Path, name: str) -> None:
+def _write_gltf(texture: xr.Dataset, rest: xr.Dataset, path: Path, name: str) -> None:
     gltf.write(rest, path, **FORMATS["gltf"].options)
     document = json.loads(path.read_text(encoding="utf-8"))
     document["images"] = [{"uri": f"{name}.normal.png", "mimeType": "image/png"}]
-    # Linear between pixels, as the split assumes, with levels of detail; repeated along both axes.
-    document["samplers"] = [{"magFilter": 9729, "minFilter": 9987, "wrapS": 10497, "wrapT": 10497}]
+    # Between pixels as the split assumes; repeated along both axes. No levels of detail: their mean normals lose the slopes of the map, which the BRDF of the rest lacks.
+    between = _GLTF_FILTERS[texture.attrs["interpolation"]]
+    document["samplers"] = [{"magFilter": between, "minFilter": between, "wrapS": 10497, "wrapT": 10497}]
     document["textures"] = [{"source": 0, "sampler": 0}]
     document["materials"][0]["normalTexture"] = {"index": 0}
     document["materials"][0]["extras"]["brdfpipe"]["maps"] = f"{name}.maps.json"
@@ -88,6 +93,8 @@ def _write_materialx(texture: xr.Dataset, rest: xr.Dataset, path: Path, name: st
     # Nodes come before the shader that uses them.
     image = xml.Element("tiledimage", name=f"normal_image_{plain}", type="vector3")
     xml.SubElement(image, "input", name="file", type="filename", value=f"{name}.normal.png", colorspace="none")
+    between = _MATERIALX_FILTERS[texture.attrs["interpolation"]]
+    xml.SubElement(image, "input", name="filtertype", type="string", value=between)
     normal = xml.Element("normalmap", name=f"normal_{plain}", type="vector3")
     xml.SubElement(normal, "input", name="in", type="vector3", nodename=image.attrib["name"])
     shader = root.find("open_pbr_surface")
@@ -139,7 +146,8 @@ def _write_mitsuba(texture: xr.Dataset, rest: xr.Dataset, path: Path, name: str)
     _value(bitmap, "string", "filter_type", str(texture.attrs["interpolation"]))
     _value(bitmap, "string", "wrap_mode", "repeat")
     repeated = xml.SubElement(bitmap, "transform", name="to_uv")
-    xml.SubElement(repeated, "scale", x=str(tiles), y=str(tiles))
+    # Mitsuba has the first row of a picture, the upper edge of the map, at v = 0, where y is lowest.
+    xml.SubElement(repeated, "scale", x=str(tiles), y=str(-tiles))
     measured = xml.SubElement(mapped, "bsdf", type="measured")
     _value(measured, "string", "filename", table.name)
     xml.indent(scene)

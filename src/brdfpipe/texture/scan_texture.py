@@ -8,7 +8,7 @@ import xarray as xr
 from brdfpipe import vocabulary
 from brdfpipe.geometry import Array
 from brdfpipe.texture.grain import grain
-from brdfpipe.texture.height_pixels import central_slopes, pixel_heights, unit_normals
+from brdfpipe.texture.height_pixels import central_slopes, unit_normals
 from brdfpipe.texture.level_of_detail import NOTICEABLE, levels_of_detail
 from brdfpipe.texture.slope_split import INTERPOLATIONS, MapSlopes, binned_slopes, interpolated_slopes
 from brdfpipe.texture.synthesis import METHODS, ring_spectra
@@ -55,8 +55,7 @@ def of_scan(
                 "distance the BRDF of all facets may need no map"
             )
     found = grain(surface, facets, pixel, size=size, method=method, seed=seed, interpolation=interpolation)
-    sample, _ = pixel_heights(surface, pixel)
-    frequency, sample_power, tile_power = ring_spectra(sample, found.height)
+    frequency, sample_power, tile_power = ring_spectra(found.sample, found.height)
     positions = (np.arange(size) + 0.5) * pixel
     of_rest = [name for name in _FACET_VARIABLES if name in found.facets]
     texture = xr.Dataset(
@@ -98,10 +97,10 @@ def facets_of(texture: xr.Dataset) -> xr.Dataset:
     return vocabulary.label(rest, "facets")
 
 
-def map_slopes(texture: xr.Dataset, bins_per_width: float, most: int) -> MapSlopes:
-    """The slopes of the map of a texture as a renderer sees them, in bins (:func:`brdfpipe.texture.slope_split.binned_slopes`)."""
+def map_slopes(texture: xr.Dataset, bins_per_width: float, most: int, places: int = 4) -> MapSlopes:
+    """The slopes of the map of a texture as a renderer sees them, in bins (:func:`brdfpipe.texture.slope_split.binned_slopes`), of so many places between pixels."""
     height, pixel = np.asarray(texture["height"].values, dtype=float), float(texture.attrs["pixel"])
-    seen = interpolated_slopes(*central_slopes(height, pixel), str(texture.attrs["interpolation"]))
+    seen = interpolated_slopes(*central_slopes(height, pixel), str(texture.attrs["interpolation"]), places)
     return binned_slopes(seen, _narrower_rms(texture), bins_per_width, most)
 
 

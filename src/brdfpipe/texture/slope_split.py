@@ -18,6 +18,7 @@ Olano & Baker 2010 (LEAN mapping, I3D) and Dupuy et al. 2013 (LEADR mapping, ACM
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -39,7 +40,9 @@ LEAST_UNRESOLVED = 0.02
 _BINS_PER_WIDTH = 3.0
 """Bins of the slopes of a map per rms of the slopes that it does not resolve."""
 _MOST_BINS = 6000
-_SUBPIXELS = 4
+_PIXELS_AT_ONCE = 2**18
+_PLACES = 4
+"""Places between the middles of two pixels: of the mean BRDF of a map they miss 0.2 %."""
 _RADIAL_NODES, _PLANAR_NODES = 64, 33
 _TARGET_AZIMUTHS = 24
 _REACH = 5.0
@@ -76,13 +79,20 @@ class SlopeSplit(NamedTuple):
     """Of the map."""
 
 
-def interpolated_slopes(slope_x: Array, slope_y: Array, interpolation: str = INTERPOLATIONS[0]) -> tuple[Array, Array]:
-    """Slopes of a periodic normal map between its pixels as well.
+SlopesAtPlaces = tuple[float, Array, Array]
+"""Share of the area that each place stands for, and slopes along x and y, (places,) each."""
+
+
+def interpolated_slopes(
+    slope_x: Array, slope_y: Array, interpolation: str = INTERPOLATIONS[0], places: int = _PLACES
+) -> Iterator[SlopesAtPlaces]:
+    """Slopes of a periodic normal map between its pixels as well, some places at a time.
 
     Parameters
     ----------
     slope_x, slope_y : (rows, columns) slopes of the pixels
     interpolation : one of :data:`INTERPOLATIONS`; ``bilinear`` interpolates the components of the normals, which a renderer then normalises
+    places : between the middles of two pixels, evenly spread; the error of means over the area falls with its square
 
     Raises
     ------
@@ -90,17 +100,24 @@ def interpolated_slopes(slope_x: Array, slope_y: Array, interpolation: str = INT
     """
     if interpolation not in INTERPOLATIONS:
         raise BrdfpipeError(f"unknown interpolation {interpolation!r}; accepted: {' or '.join(INTERPOLATIONS)}")
-    if interpolation == "nearest":
-        return slope_x.ravel(), slope_y.ravel()
-    upright = 1 / np.sqrt(1 + slope_x**2 + slope_y**2)
-    at = (np.arange(_SUBPIXELS) + 0.5) / _SUBPIXELS
-    sums = np.zeros((3, _SUBPIXELS, _SUBPIXELS, *slope_x.shape))
-    for row in (0, 1):
-        for column in (0, 1):
-            weight = np.abs(1 - row - at)[:, None] * np.abs(1 - column - at)
-            corner = np.roll(np.stack([slope_x * upright, slope_y * upright, upright]), (-row, -column), axis=(1, 2))
-            sums += weight[:, :, None, None] * corner[:, None, None]
-    return (sums[0] / sums[2]).ravel(), (sums[1] / sums[2]).ravel()
+    rows, columns = slope_x.shape
+    between = (np.arange(places) + 0.5) / places
+    step = max(1, _PIXELS_AT_ONCE // columns)
+    for start in range(0, rows, step):
+        lines = np.arange(start, min(start + step, rows) + 1) % rows
+        if interpolation == "nearest":
+            yield 1 / slope_x.size, slope_x[lines[:-1]].ravel(), slope_y[lines[:-1]].ravel()
+            continue
+        # One row and one column more, of the next tile.
+        p, q = (np.pad(one[lines], ((0, 0), (0, 1)), mode="wrap") for one in (slope_x, slope_y))
+        upright = 1 / np.sqrt(1 + p**2 + q**2)
+        normals = np.stack([p * upright, q * upright, upright])
+        share = 1 / (slope_x.size * places**2)
+        for up in between:
+            edge = (1 - up) * normals[:, :-1] + up * normals[:, 1:]
+            for right in between:
+                x, y, z = (1 - right) * edge[:, :, :-1] + right * edge[:, :, 1:]
+                yield share, (x / z).ravel(), (y / z).ravel()
 
 
 def split(facets: xr.Dataset, slope_x: Array, slope_y: Array, interpolation: str = INTERPOLATIONS[0]) -> SlopeSplit:
@@ -120,11 +137,10 @@ def split(facets: xr.Dataset, slope_x: Array, slope_y: Array, interpolation: str
     vocabulary.validate(facets, "facets")
     if facets["slope_density"].size == 0:
         raise BrdfpipeError("a flat surface has no grain; accepted: a measured surface")
-    seen = interpolated_slopes(slope_x, slope_y, interpolation)
     if facets["slope_density"].ndim == 1:
-        found, residual, slope_rms = _radial(RadialDensity.of(facets), seen)
+        found, residual, slope_rms = _radial(RadialDensity.of(facets), (slope_x, slope_y), interpolation)
     else:
-        found, residual, slope_rms = _planar(PlanarDensity.of(facets), seen)
+        found, residual, slope_rms = _planar(PlanarDensity.of(facets), (slope_x, slope_y), interpolation)
     residual.attrs = {
         "method": "facets that a normal map does not resolve, by Richardson and Lucy's iteration",
         "band": str(facets.attrs["band"]),
@@ -134,24 +150,37 @@ def split(facets: xr.Dataset, slope_x: Array, slope_y: Array, interpolation: str
 
 
 def binned_slopes(
-    slopes: tuple[Array, Array], unresolved_rms: float, bins_per_width: float = _BINS_PER_WIDTH, most: int = _MOST_BINS
+    slopes: Iterable[SlopesAtPlaces],
+    unresolved_rms: float,
+    bins_per_width: float = _BINS_PER_WIDTH,
+    most: int = _MOST_BINS,
 ) -> MapSlopes:
-    """Slopes in square bins that are fine beside the slopes that are not resolved: so many per rms, and not more than the most."""
-    p, q = slopes
+    """Slopes (:func:`interpolated_slopes`) in square bins that are fine beside the slopes that are not resolved: so many per rms, and not more than the most."""
     width = unresolved_rms / bins_per_width
-    while True:
-        cells = np.rint(p / width).astype(np.int64) * 2**24 + np.rint(q / width).astype(np.int64)
-        occupied, inverse, count = np.unique(cells, return_inverse=True, return_counts=True)
-        if occupied.size <= most:
-            break
+    found = np.concatenate([_binned(np.stack([p, q]), np.full(p.size, share), width) for share, p, q in slopes], axis=1)
+    found = _binned(found[:2], found[2], width)
+    while found.shape[1] > most:
         width *= 1.3
-    means = np.stack([np.bincount(inverse, weights=one) / count for one in (p, q)])
-    return MapSlopes(means, count / count.sum())
+        found = _binned(found[:2], found[2], width)
+    return MapSlopes(found[:2], found[2] / found[2].sum())
 
 
-def _unresolved(full: Array, seen: tuple[Array, Array]) -> Array:
-    """(2,) mean square slopes along two axes that a map leaves, checked; ``full`` (2,) are those of all facets."""
-    left = full - np.array([np.mean(one**2) for one in seen])
+def _binned(slopes: Array, share: Array, width: float) -> Array:
+    """(3, bins) means of slopes (2, places), weighted with the shares, in bins of a width; and the sum of their shares."""
+    cells = np.rint(slopes / width).astype(np.int64)
+    _, inverse = np.unique(cells[0] * 2**24 + cells[1], return_inverse=True)
+    total = np.bincount(inverse, share)
+    return np.stack([*(np.bincount(inverse, share * one) / total for one in slopes), total])
+
+
+def _mean_squares(slopes: Iterable[SlopesAtPlaces]) -> Array:
+    """(2,) along x and y."""
+    return np.sum([(share * (p @ p), share * (q @ q)) for share, p, q in slopes], axis=0)
+
+
+def _unresolved(full: Array, resolved: Array) -> Array:
+    """(axes,) mean square slopes that a map leaves, checked, of those of all facets and of the map."""
+    left = full - resolved
     if not np.all(np.isfinite(full)) or np.any(left < LEAST_UNRESOLVED * full):
         worst = float(np.min(left / full))
         raise BrdfpipeError(
@@ -161,13 +190,15 @@ def _unresolved(full: Array, seen: tuple[Array, Array]) -> Array:
     return np.asarray(left)
 
 
-def _radial(full: RadialDensity, seen: tuple[Array, Array]) -> tuple[SlopeSplit, xr.Dataset, float]:
+def _radial(
+    full: RadialDensity, of_pixels: tuple[Array, Array], interpolation: str
+) -> tuple[SlopeSplit, xr.Dataset, float]:
     s, weight = full.rule()
     mean_square = float(weight @ s**2)
-    resolved = float(np.mean(seen[0] ** 2 + seen[1] ** 2))
-    (left, _) = _unresolved(np.full(2, mean_square), (np.sqrt([resolved]), np.sqrt([resolved])))
+    resolved = _mean_squares(interpolated_slopes(*of_pixels, interpolation)).sum()
+    (left,) = _unresolved(np.array([mean_square]), resolved)
     shrink = np.sqrt(left / mean_square)
-    bins = binned_slopes(seen, np.sqrt(left / 2))
+    bins = binned_slopes(interpolated_slopes(*of_pixels, interpolation), np.sqrt(left / 2))
     rms = np.sqrt(mean_square / 2)
     target = rms * np.sinh(np.linspace(0, np.arcsinh(_REACH), _RADIAL_NODES))
     # The correction is constant beyond the compared slopes.
@@ -192,17 +223,19 @@ def _radial(full: RadialDensity, seen: tuple[Array, Array]) -> tuple[SlopeSplit,
     return found, radial_dataset(density, slope_rms), slope_rms
 
 
-def _planar(full: PlanarDensity, seen: tuple[Array, Array]) -> tuple[SlopeSplit, xr.Dataset, float]:
+def _planar(
+    full: PlanarDensity, of_pixels: tuple[Array, Array], interpolation: str
+) -> tuple[SlopeSplit, xr.Dataset, float]:
     angle = np.radians(full.azimuth)
     principal = (
-        seen[0] * np.cos(angle) + seen[1] * np.sin(angle),
-        seen[1] * np.cos(angle) - seen[0] * np.sin(angle),
+        of_pixels[0] * np.cos(angle) + of_pixels[1] * np.sin(angle),
+        of_pixels[1] * np.cos(angle) - of_pixels[0] * np.sin(angle),
     )
     a, b, weight = full.principal_rule()
     mean_squares = np.array([np.sum(weight * a**2), np.sum(weight * b**2)]) / weight.sum()
-    left = _unresolved(mean_squares, principal)
+    left = _unresolved(mean_squares, _mean_squares(interpolated_slopes(*principal, interpolation)))
     shrink, rms = np.sqrt(left / mean_squares), np.sqrt(mean_squares)
-    bins = binned_slopes(principal, float(np.sqrt(left.min())))
+    bins = binned_slopes(interpolated_slopes(*principal, interpolation), float(np.sqrt(left.min())))
     along, across = (SlopeAxis(one, one * _REACH, _PLANAR_NODES) for one in rms.tolist())
     along_left, across_left = (SlopeAxis(one, one * _REACH, _PLANAR_NODES) for one in (rms * shrink).tolist())
     size = _PLANAR_NODES**2

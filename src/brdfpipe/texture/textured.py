@@ -19,8 +19,8 @@ from brdfpipe.texture.scan_texture import map_slopes, normals_of
 from brdfpipe.texture.seen_from_afar import AREAS, in_frames, local_frames, seen_from_afar
 from brdfpipe.texture.slope_split import MapSlopes
 
-_BINS_PER_WIDTH, _MOST_BINS = 20.0, 60_000
-"""Bins of the slopes of the map per slope rms of the rest, for the mean over a tile to 1e-3."""
+_BINS_PER_WIDTH, _MOST_BINS, _PLACES = 40.0, 100_000, 12
+"""Bins of the slopes of the map per slope rms of the rest, and places between its pixels, for the mean over a tile to 1e-3."""
 
 
 class Textured:
@@ -112,7 +112,7 @@ class Textured:
 
     @cached_property
     def _slopes(self) -> MapSlopes:
-        return map_slopes(self._texture, _BINS_PER_WIDTH, _MOST_BINS)
+        return map_slopes(self._texture, _BINS_PER_WIDTH, _MOST_BINS, _PLACES)
 
     @cached_property
     def _normals(self) -> Array:

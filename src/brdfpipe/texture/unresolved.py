@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 import xarray as xr
 
@@ -16,11 +18,25 @@ from brdfpipe.texture.seen_from_afar import seen_from_afar
 NOTABLE_DIFFERENCE = 0.1
 """From which on a warning says that the map with the rest is not the BRDF."""
 
+NOTABLE_LAY = 0.02
+"""From which on a warning says that the map has a lay that the BRDF has not; a map whose lay the BRDF has is within 2 % of it."""
+
 _LIGHT = np.array([(0.0, 0.0), *((radius, turn) for radius in (2.0, 4.0) for turn in range(0, 360, 60))])
 """Directions of a round light about its middle: radius and turn [degree]."""
 _INCIDENCES, _BESIDE = (0.0, 25.0, 45.0), (-1.5, -0.7, 0.0, 0.7, 1.5)
 """Incidences [degree], and distances of lights from the mirror direction in slope rms."""
+_AZIMUTHS = (20.0, 80.0, 140.0)
+"""Of the light on a surface without a lay [degree]: in their mean the lay of a map does not show."""
 _BINS_PER_WIDTH, _MOST_BINS = 3.0, 6000
+
+
+class Differences(NamedTuple):
+    """Rms relative differences between the mean over a map and the BRDF without it."""
+
+    mean: float
+    """Of a BRDF without a lay in the mean over azimuths of the light, else along and across the lay."""
+    lay: float
+    """Of single azimuths from that mean; 0 where the BRDF has a lay."""
 
 
 def unresolved_bsdf(
@@ -36,33 +52,42 @@ def unresolved_bsdf(
 
     Returns
     -------
-    Dataset of kind ``bsdf``, representation ``microfacet``; the attribute ``mean_difference`` is the rms relative difference between the mean over the map and ``bsdf``, over
-    lights of 5 degree from the mirror direction to 1.5 rms slopes beside it, at incidences of 0, 25 and 45 degree
+    Dataset of kind ``bsdf``, representation ``microfacet``; the attributes ``mean_difference`` and ``lay_difference`` are the rms relative :class:`Differences` between the mean over
+    the map and ``bsdf``, over lights of 5 degree from the mirror direction to 1.5 rms slopes beside it, at incidences of 0, 25 and 45 degree
     """
     vocabulary.validate(texture, "texture")
     rest = build(facets_of(texture), index=index, spectrum=spectrum)
-    difference = mean_difference(texture, rest, bsdf)
-    rest = rest.assign_attrs(mean_difference=difference, route="predicted")
-    if difference <= NOTABLE_DIFFERENCE:
-        return rest
-    return vocabulary.add_warning(
-        rest,
-        f"the map with this BSDF differs from the BRDF of the material by {difference:.0%}, seen from afar: by waves or light reflected more than once, which the split of the "
-        "facets does not have, or by fine roughness that depends on the place",
-    )
+    found = differences(texture, rest, bsdf)
+    rest = rest.assign_attrs(mean_difference=found.mean, lay_difference=found.lay, route="predicted")
+    warnings = []
+    if found.mean > NOTABLE_DIFFERENCE:
+        warnings.append(
+            f"the map with this BSDF differs from the BRDF of the material by {found.mean:.0%}, seen from afar: by waves or light reflected more than once, which the split of the "
+            "facets does not have, or by fine roughness that depends on the place"
+        )
+    if found.lay > NOTABLE_LAY:
+        warnings.append(
+            f"in light from single azimuths the map with this BSDF is {found.lay:.1%} brighter or darker than the BRDF of the material: the coarse structure of the scan has a "
+            "lay that the BRDF has not; scan a larger part, or set `surface.isotropic: false`, so that both have it"
+        )
+    return vocabulary.add_warning(rest, *warnings)
 
 
-def mean_difference(texture: xr.Dataset, rest: xr.Dataset, bsdf: xr.Dataset) -> float:
-    """The difference of :func:`unresolved_bsdf`; the rest and the BRDF in their mean over wavelengths, V(λ)·D65."""
+def differences(texture: xr.Dataset, rest: xr.Dataset, bsdf: xr.Dataset) -> Differences:
+    """The differences of :func:`unresolved_bsdf`; the rest and the BRDF in their mean over wavelengths, V(λ)·D65."""
     lay = representation(bsdf).lay
     slopes = map_slopes(texture, _BINS_PER_WIDTH, _MOST_BINS)
     slope_rms = float(np.sqrt(texture["slope_rms"] ** 2 + np.trace(slopes.covariance)))
-    pairs = _lights(slope_rms, 20.0 if lay is None else lay)
-    plain = nonspectral(rest), nonspectral(bsdf)
-    of_map = seen_from_afar(plain[0], slopes, *pairs)
-    without = representation(plain[1]).evaluate(*pairs, None)
-    means = [one.mean(axis=-1).reshape(-1, len(_LIGHT)).mean(axis=1) for one in (of_map, without)]
-    return float(np.sqrt(np.mean((means[0] / means[1] - 1) ** 2)))
+    of_rest, whole = nonspectral(rest), nonspectral(bsdf)
+    found = []
+    for azimuth in _AZIMUTHS if lay is None else (lay, lay + 90.0):
+        pairs = _lights(slope_rms, azimuth)
+        both = seen_from_afar(of_rest, slopes, *pairs), representation(whole).evaluate(*pairs, None)
+        means = [one.mean(axis=-1).reshape(-1, len(_LIGHT)).mean(axis=1) for one in both]
+        found.append(means[0] / means[1] - 1)
+    each = np.array(found)
+    middle = each.mean(axis=0) if lay is None else each
+    return Differences(*(float(np.sqrt(np.mean(one**2))) for one in (middle, each - middle)))
 
 
 def _lights(slope_rms: float, azimuth: float) -> tuple[Array, Array, Array, Array]:

@@ -10,8 +10,11 @@ import xarray as xr
 from brdfpipe.report.cards import Section, Table
 from brdfpipe.report.formatting import number
 from brdfpipe.report.plots.raster import false_colour, framed
-from brdfpipe.report.plots.svg import Array, Axis, Figure, Line, chart, legend, linear_ticks, png
+from brdfpipe.report.plots.svg import WIDTH, Array, Axis, Figure, Line, chart, frame, image, legend, linear_ticks, png
 
+_LIGHTS = {"spot": "Under a spot at 45as15", "diffuse": "In diffuse light"}
+_PICTURE = 400
+"""Side of a picture in figure units."""
 _SHOWN = 400
 """Pixels of a tile along a side of its figure, at most."""
 _LEAST = 1e-8
@@ -25,15 +28,35 @@ def texture_section(datasets: Mapping[str, xr.Dataset]) -> Section:
         section.figures += [
             figure for number in range(pictured.sizes["geometry"]) for figure in _of_picture(pictured, number)
         ]
+        section.figures += _seen(datasets.get("texture_preview"))
         section.tables.append(_sparkles(pictured))
         return section
     if (texture := datasets.get("texture")) is None:
         return section
-    section.figures += [_tile(texture), _spectra(texture)]
+    section.figures += [_tile(texture), _spectra(texture), *_seen(datasets.get("texture_preview"))]
     section.tables.append(_numbers(texture, datasets.get("unresolved")))
     if "level_pixel" in texture:
         section.tables.append(_levels(texture))
     return section
+
+
+def _seen(preview: xr.Dataset | None) -> Iterator[Figure]:
+    """The structure as an eye sees it from a distance, in each light."""
+    if preview is None:
+        return
+    pictures = [(str(preview.attrs["light"]), preview["picture"].values)]
+    if "picture_in" in preview:
+        pictures += zip(preview["light_of"].values.tolist(), preview["picture_in"].values, strict=True)
+    width, distance = float(preview.attrs["picture_width"]), number(float(preview.attrs["viewing_distance"]))
+    for (light, pixels), contrast in zip(pictures, np.atleast_1d(preview.attrs["contrast"]), strict=True):
+        title = f"{_LIGHTS[light]}, from {distance} m"
+        shown = image(png(pixels), (WIDTH - _PICTURE) / 2, 0, _PICTURE, _PICTURE, smooth=True)
+        svg = frame(f"A panel {title[0].lower()}{title[1:]}, {width:.3g} mm along a side", _PICTURE, [shown])
+        note = (
+            f"{width:.3g} mm along a side, as an eye sees it that resolves one minute of arc: two pixels of the picture. Contrast: {100 * contrast:.2g} % rms. A white diffuser "
+            f"has {100 * float(preview.attrs['white_level']):.0f} % of the screen's white."
+        )
+        yield Figure(title, svg, note=note)
 
 
 def _tile(texture: xr.Dataset) -> Figure:
@@ -152,6 +175,11 @@ def _numbers(texture: xr.Dataset, rest: xr.Dataset | None) -> Table:
                 "rms difference from the BRDF without a map, in lights of 5° about the mirror direction",
             )
         )
+        if rest.attrs["lay_difference"]:
+            lay = f"{100 * float(rest.attrs['lay_difference']):.1f} %"
+            rows.append(
+                ("at single azimuths", lay, "from the mean over azimuths: lay of the map, which the BRDF has not")
+            )
     note = (
         f"Method {texture.attrs['method']}, seed {texture.attrs['seed']}. The map goes with the BRDF of `unresolved.nc`: with that of all facets the slopes of "
         "the map would count twice."
