@@ -39,7 +39,7 @@ def of_scan(
     -------
     Dataset of kind ``texture``: ``height(y, x)`` [um], the first row at the lowest y; ``sample_psd`` and ``tile_psd`` [um4] over ``texture_frequency``;
     the variables of kind ``facets`` of what the pixels do not resolve (:func:`facets_of`); the figures of the split and of the likeness; and of a viewing
-    distance ``level_difference(level_pixel)`` [1], ``level_pixel`` [um], the chosen one last
+    distance ``level_difference(level_pixel)`` [1], ``level_pixel`` [um], the chosen one first
 
     Raises
     ------
@@ -83,7 +83,7 @@ def of_scan(
         },
     )
     if levels:
-        pixels, differences = zip(*levels, strict=True)
+        pixels, differences = zip(*reversed(levels), strict=True)
         texture = texture.assign_coords(level_pixel=list(pixels)).assign_attrs(viewing_distance=distance)
         texture["level_difference"] = "level_pixel", list(differences)
     return vocabulary.add_warning(vocabulary.label(texture, "texture"), *warnings, *found.warnings)

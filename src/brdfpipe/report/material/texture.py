@@ -160,11 +160,14 @@ def _numbers(texture: xr.Dataset, rest: xr.Dataset | None) -> Table:
 
 
 def _levels(texture: xr.Dataset) -> Table:
-    pixels, differences = texture["level_pixel"].values, texture["level_difference"].values
-    last = len(pixels) - 1
+    chosen, tried = float(texture.attrs["pixel"]), texture["level_difference"]
     rows = [
-        (f"{number(float(pixel))} µm", f"{100 * float(difference):.2g} %", "chosen" if k == last else "too coarse")
-        for k, (pixel, difference) in enumerate(zip(pixels, differences, strict=True))
+        (
+            f"{number(float(pixel))} µm",
+            f"{100 * float(difference):.2g} %",
+            "chosen" if pixel == chosen else "too coarse",
+        )
+        for pixel, difference in zip(tried["level_pixel"].values[::-1], tried.values[::-1], strict=True)
     ]
     note = (
         "The coarsest pixel is taken whose pattern under a small light has, for an eye at that distance, the contrast of the finest pixel. Differences below 10 % are "
