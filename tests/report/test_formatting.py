@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from brdfpipe.report.formatting import length, share_percent, uncertainty_value, value_with_u
+from brdfpipe.report.formatting import length, plus_minus_u, share_percent, uncertainty_value, value_with_u
 
 
 @pytest.mark.parametrize(
@@ -25,6 +25,11 @@ def test_shares_too_small_to_mean_anything_have_no_digits(share: float, words: s
 @pytest.mark.parametrize(("u", "words"), [(0.0, "0"), (0.004, "< 0.01"), (0.0123, "0.01"), (1.234, "1.23")])
 def test_a_known_uncertainty_is_never_written_as_none(u: float, words: str) -> None:
     assert uncertainty_value(u) == words
+
+
+@pytest.mark.parametrize(("u", "words"), [(0.0, "± 0"), (0.0004, "± 0.01"), (1.234, "± 1.23"), (math.nan, "")])
+def test_beside_a_value_a_small_uncertainty_is_rounded_up(u: float, words: str) -> None:
+    assert plus_minus_u(u) == words
 
 
 @pytest.mark.parametrize(

@@ -83,5 +83,5 @@ def test_pictures_are_read_from_files_with_their_warnings(tmp_path):
     x = np.linspace(-1, 1, 128)
     uneven = of_pictures({"45as15": values * (1.5 + x)}, pixel=20.0, size=64)
     assert any("light it more evenly" in text for text in vocabulary.warnings(uneven))
-    with pytest.raises(BrdfpipeError, match="unknown geometry"):
+    with pytest.raises(BrdfpipeError, match="is unknown"):
         of_pictures({"sideways": values}, pixel=20.0, size=64)

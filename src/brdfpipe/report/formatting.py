@@ -79,8 +79,10 @@ def share_percent(share: float) -> str:
 
 
 def plus_minus_u(u: float) -> str:
-    """``± u`` to two decimals; empty where the uncertainty is not known."""
-    return f"± {uncertainty_value(u)}" if math.isfinite(u) else ""
+    """``± u`` to two decimals, one below them rounded up to 0.01; empty where the uncertainty is not known."""
+    if not math.isfinite(u):
+        return ""
+    return f"± {uncertainty_value(max(u, _SMALLEST_UNCERTAINTY) if u else u)}"
 
 
 def uncertainty_value(u: float) -> str:

@@ -6,6 +6,7 @@ import numpy as np
 import xarray as xr
 
 from brdfpipe import vocabulary
+from brdfpipe.errors import plain
 from brdfpipe.geometry import Array
 from brdfpipe.texture.grain import grain
 from brdfpipe.texture.height_pixels import central_slopes, pixel_heights, unit_normals
@@ -51,7 +52,7 @@ def of_scan(
         pixel = levels[-1].pixel
         if len(levels) == 1 and levels[0].difference <= NOTICEABLE:
             warnings.append(
-                f"at {distance:g} m an eye sees with pixels of {pixel:.3g} um, the coarsest for a scan of this size, the contrast of the finest: at that "
+                f"at {distance:g} m an eye sees with pixels of {plain(pixel)} µm, the coarsest for a scan of this size, the contrast of the finest: at that "
                 "distance the BRDF of all facets may need no map"
             )
     found = grain(surface, facets, pixel, size=size, method=method, seed=seed, interpolation=interpolation)
