@@ -164,7 +164,7 @@ def _titles(path: Path) -> str:
 def _content(dataset: xr.Dataset) -> str:
     """What a dataset holds, in a line."""
     if dataset.attrs["kind"] == "surface":
-        return _relief(dataset)
+        return relief_words(dataset)
     spectral = [
         name
         for name, values in dataset.data_vars.items()
@@ -185,7 +185,8 @@ def _content(dataset: xr.Dataset) -> str:
     return f"{dataset.attrs['kind']} of {sizes}"
 
 
-def _relief(surface: xr.Dataset) -> str:
+def relief_words(surface: xr.Dataset) -> str:
+    """Size, pitch, extent and range of the heights of a surface, in a line."""
     height = surface["height"].values
     pitches = [surface.attrs[f"pitch_{dim}"] for dim in reversed(surface["height"].dims)]
     counts = " × ".join(str(count) for count in reversed(height.shape))

@@ -68,7 +68,7 @@ def _picture(
 
 
 def _tile(texture: xr.Dataset) -> Figure:
-    note = "The colours span the central 99 %."
+    note = "The colours span the central 99\u202f%."
     return _picture(texture, texture["height"].values, "Height map, tileable", "µm", note)
 
 
@@ -89,7 +89,7 @@ def _of_picture(texture: xr.Dataset, number: int) -> Iterator[Figure]:
     """The tile of a geometry, and its spectrum."""
     geometry = str(texture["geometry"].values[number])
     light, title = texture["relative_light"].values[number], f"Light over its mean, {geometry}"
-    note = "Black to white is the central 99 % of the light, which stretches a weak contrast; see the scale."
+    note = "Black to white is the central 99\u202f% of the light, which stretches a weak contrast; see the scale."
     yield _picture(texture, light, title, "light / mean", note, grey)
     powers = texture["sample_contrast_psd"].values[number], texture["tile_contrast_psd"].values[number]
     yield _spectrum(texture["texture_frequency"].values, powers, "picture", "µm²", f"Spectrum of the light, {geometry}")

@@ -100,6 +100,8 @@ def colour_bar(
     ramp = colours(np.linspace(1, 0, levels))[:, None, :]
     # The unit ends at the edge of the picture, as a long one would not fit to the right of the bar.
     parts = [image(png(ramp), x, top, 12, tall), text(x + 12, 15, unit, "end", "t")]
+    if colours is light:  # which is white at one end, as the page may be
+        parts.append(f'<path class="a" d="M{x:.1f} {top:.1f}h12v{tall:.1f}h-12z"/>')
     for fraction, name in ticks:
         at = top + tall * (1 - fraction)
         parts.append(f'<path class="a" d="M{x + 12:.1f} {at:.1f}h4"/>')
