@@ -4,6 +4,7 @@ import math
 
 import pytest
 
+from brdfpipe.errors import plain
 from brdfpipe.report.formatting import length, plus_minus_u, share_percent, uncertainty_value, value_with_u
 
 
@@ -12,6 +13,14 @@ from brdfpipe.report.formatting import length, plus_minus_u, share_percent, unce
 )
 def test_small_heights_are_written_in_nanometres(micrometres: float, words: str) -> None:
     assert " ".join(length(micrometres)) == words
+
+
+@pytest.mark.parametrize(
+    ("value", "digits", "words"),
+    [(1470.4, 3, "1470"), (123456.0, 3, "123000"), (2.0, 4, "2"), (0.000123456, 3, "0.000123"), (0.0, 3, "0")],
+)
+def test_lengths_in_messages_have_no_exponent(value: float, digits: int, words: str) -> None:
+    assert plain(value, digits) == words
 
 
 @pytest.mark.parametrize(

@@ -173,6 +173,8 @@ def _content(dataset: xr.Dataset) -> str:
     if dataset.attrs["kind"] in ("spectrum", "index", "interior") and spectral:
         nm, values = dataset["wavelength"].values, dataset[spectral[0]].values
         label = str(dataset[spectral[0]].attrs.get("long_name", spectral[0]))
+        if dataset.attrs.get("geometry") == "sce":
+            label = "reflectance without the specular component"
         known = ", with its uncertainty" if f"{spectral[0]}_u" in dataset else ""
         geometry = (
             f", {dataset.attrs['geometry']} at {dataset.attrs['theta_i']:g}°" if "geometry" in dataset.attrs else ""

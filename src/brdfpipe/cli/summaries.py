@@ -212,7 +212,7 @@ def _listed(found: dict[str, Any], indent: str) -> Iterator[str]:
     width = max((len(name) for name in found), default=0) + 2
     for name, value in found.items():
         if isinstance(value, dict) and "value" in value:
-            unit = "" if value.get("unit") in ("", "1") else f" {value['unit']}"
+            unit = "" if value.get("unit") in ("", "1") else f" {'µm' if value['unit'] == 'um' else value['unit']}"
             yield f"{indent}{name:<{width}}{_number(value['value'], value.get('u'), unit)}{unit}"
         elif isinstance(value, dict) and all(isinstance(one, int | float) for one in value.values()):
             yield f"{indent}{name:<{width}}" + "  ".join(f"{key} {one:.4g}" for key, one in value.items())
@@ -241,7 +241,7 @@ def plot(dataset: xr.Dataset) -> list[str]:
             f"{name.replace('_', ' ')} of the tile{of}, the highest places full",
             *terminal_plots.relief(shown.values.astype(float)),
         ]
-    for name, value in dataset.data_vars.items():
+    for title, value in dataset.data_vars.items():
         if (
             value.ndim == 1
             and value.size > 2
@@ -250,7 +250,7 @@ def plot(dataset: xr.Dataset) -> list[str]:
             and np.issubdtype(dataset[value.dims[0]].dtype, np.number)
         ):
             along = dataset[value.dims[0]]
-            label, unit = str(value.attrs.get("long_name", name)), value.attrs.get("units", "1")
+            label, unit = str(value.attrs.get("long_name", title)), value.attrs.get("units", "1")
             x_label = f"{along.name} [{along.attrs.get('units', '1')}]"
             return terminal_plots.curves(along.values.astype(float), [value.values], x_label, f"{label} [{unit}]")
     return []
