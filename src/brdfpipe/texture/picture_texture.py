@@ -69,7 +69,11 @@ def of_pictures(
     BrdfpipeError : an unknown geometry, or a value out of range.
     """
     angles = [picture_angle(name) for name in pictures]
-    found = [_of_picture(values, pixel, size, method, seed + number) for number, values in enumerate(pictures.values())]
+    shortest = min(min(np.shape(values)) for values in pictures.values())
+    found = [
+        _of_picture(values, pixel, size, method, seed + number, shortest)
+        for number, values in enumerate(pictures.values())
+    ]
     names = list(found[0])
     dimensions = {
         "relative_light": ("geometry", "y", "x"),
@@ -133,10 +137,10 @@ def picture_angle(geometry: str) -> float:
     return float(flake_angle(*pair, COAT_INDEX))
 
 
-def _of_picture(values: Array, pixel: float, size: int, method: str, seed: int) -> dict[str, Any]:
+def _of_picture(values: Array, pixel: float, size: int, method: str, seed: int, shortest: int) -> dict[str, Any]:
     sample, gradient = without_gradient(np.asarray(values, dtype=float))
     tile = positive(1 + synthesise(sample, size, method=method, seed=seed), sample)
-    frequency, of_sample, of_tile = ring_spectra(sample, tile - 1)
+    frequency, of_sample, of_tile = ring_spectra(sample, tile - 1, shortest=shortest)
     remains, points = likeness(sample, tile), sparkle(sample, pixel)
     return {
         "relative_light": tile.astype(np.float32),
