@@ -24,6 +24,9 @@ if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
 DEGREE = 3
+RESOLUTION, TOWARDS_GRAZING = "resolution", "grazing"
+"""Components of the uncertainty by what cells do not tell, see :mod:`brdfpipe.bsdf.measured.resolution`: of a lobe's edge, or a lobe narrower than the
+cells; and of light that leaves near the horizon."""
 GRAZING = (0.05, 0.15)  # scales in cos θ_o of the functions that describe the BSDF towards grazing
 GRAZING_HARMONICS = 2  # of φ; of the second, the fit has next to nothing
 GRAZING_WIDTH = 30.0  # distance from the mirror direction beyond which these harmonics have their full size [degree]

@@ -9,15 +9,12 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from brdfpipe.bsdf.measured.basis import RESOLUTION, TOWARDS_GRAZING
 from brdfpipe.bsdf.measured.least_squares import Decomposition, StandardForm
 from brdfpipe.geometry import Array
 
-RESOLUTION, GRAZING = "resolution", "grazing"
-"""Components of the uncertainty: of a lobe's edge, or a lobe narrower than the cells, by the fit with every second knot; and of light that leaves
-near the horizon, by the fit with harmonics of the functions of cos θ_o that are resisted no more than the functions themselves."""
-
-SHARES: Mapping[str, float] = {RESOLUTION: 0.25, GRAZING: float(1 / np.sqrt(3))}
-"""Error of the fit over its change. At the edge of a lobe 1.5° wide it is 0.3 to 0.6 of that with every second knot, at wider ones less than 0.1. Of the
+SHARES: Mapping[str, float] = {RESOLUTION: 0.25, TOWARDS_GRAZING: float(1 / np.sqrt(3))}
+"""Error of the fit over its change: with every second knot, and with harmonics of the functions of cos θ_o that are resisted no more than these functions. At the edge of a lobe 1.5° wide it is 0.3 to 0.6 of that with every second knot, at wider ones less than 0.1. Of the
 two resistances neither is more likely: the truth may be anywhere from one fit to the other, a rectangular distribution from 0 to 1."""
 
 

@@ -19,10 +19,10 @@ from numpy.typing import ArrayLike, NDArray
 from brdfpipe import vocabulary
 from brdfpipe.bsdf.measured import basis as bases
 from brdfpipe.bsdf.measured.agreement import symmetry_warnings
-from brdfpipe.bsdf.measured.basis import Basis, Keldysh, PSpline
+from brdfpipe.bsdf.measured.basis import RESOLUTION, TOWARDS_GRAZING, Basis, Keldysh, PSpline
 from brdfpipe.bsdf.measured.coordinates import ABOUT, cell_angles
 from brdfpipe.bsdf.measured.least_squares import Decomposition, StandardForm
-from brdfpipe.bsdf.measured.resolution import GRAZING, RESOLUTION, unresolved
+from brdfpipe.bsdf.measured.resolution import unresolved
 from brdfpipe.errors import VocabularyError
 from brdfpipe.geometry import Array, check_angles
 from brdfpipe.specular_directions import cos_view
@@ -146,7 +146,7 @@ def smooth(
     others = [
         {
             RESOLUTION: _standard_form(primary, basis, about, at, isotropic, coarse=True),
-            GRAZING: _standard_form(primary, basis, about, at, isotropic, resisted=False),
+            TOWARDS_GRAZING: _standard_form(primary, basis, about, at, isotropic, resisted=False),
         }
         if isinstance(basis, PSpline)
         else {}
