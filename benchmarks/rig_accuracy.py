@@ -352,6 +352,12 @@ REGIONS: Mapping[str, Callable[[str], Directions]] = {
 }
 """Directions in which a completed BSDF is compared, by side."""
 
+BEYOND = tuple(region for region in REGIONS if region.startswith("larger"))
+"""Those beyond the last measured incidence."""
+
+REGION_Z_RMS, LARGEST_Z = (0.7, 1.3), {False: 6.0, True: 10.0}
+"""What is wanted of each region: the range of the rms of z, and the largest size of z, of regions beyond the last incidence or not."""
+
 
 def departures(bsdf: xr.Dataset, truth: xr.Dataset, side: str = "reflection") -> dict[str, Departure]:
     """Errors of a completed BSDF by region."""
@@ -628,7 +634,8 @@ def _completed_section(outcomes: Sequence[Outcome]) -> Iterator[str]:
         "The smoothed and completed BSDF, with glare, between the cells and beyond them: relative error in per cent "
         "(median / 95th percentile), rms of z, and the 95th percentile of its size (1.96 for a normal distribution). Directions within 10° of the "
         "mirror direction (from behind, of the straight one) and farther away are at cosines of view above "
-        f"{GRAZING:g}; errors are of values from {DARKEST:g} sr⁻¹ on, z of all. Incidences between are {', '.join(f'{angle:g}' for angle in BETWEEN)}°. Errors of a measurement are correlated: with five rigs an rms of z near 1 is uncertain by a third."
+        f"{GRAZING:g}; errors are of values from {DARKEST:g} sr⁻¹ on, z of all. Incidences between are {', '.join(f'{angle:g}' for angle in BETWEEN)}°. Errors of a measurement are correlated: with five rigs an rms of z near 1 is uncertain by a third. "
+        f"The sample with a red edge is measured at {_listed(EDGE_WAVELENGTHS)} nm, and compared between them at {_listed(BETWEEN_WAVELENGTHS)} nm."
     )
     yield ""
     rows = list(_by_region(outcomes))
@@ -636,8 +643,21 @@ def _completed_section(outcomes: Sequence[Outcome]) -> Iterator[str]:
         ("sample", "region", "error 50 / 95", "rms of z", "95th percentile of \\|z\\|", "largest \\|z\\|"), iter(rows)
     )
     yield ""
-    beyond = [f"{sample}: {region} ({z})" for sample, region, _, z, *_ in rows if float(z) > Z_RMS[1]]
-    yield f"Errors exceed the stated uncertainty, with an rms of z above {Z_RMS[1]}: {'; '.join(beyond) or 'nowhere'}."
+    understated = [f"{sample}: {region} ({z})" for sample, region, _, z, *_ in rows if float(z) > REGION_Z_RMS[1]]
+    yield f"Errors exceed the stated uncertainty, with an rms of z above {REGION_Z_RMS[1]}: {'; '.join(understated) or 'nowhere'}."
+    yield ""
+    overstated = [row for row in rows if float(row[3]) < REGION_Z_RMS[0]]
+    yield (
+        f"The stated uncertainty is larger than the errors, with an rms of z below {REGION_Z_RMS[0]}, in {len(overstated)} of {len(rows)} regions, "
+        f"{sum(region in BEYOND for _, region, *_ in overstated)} of them at larger incidences."
+    )
+    yield ""
+    far = [
+        f"{sample}: {region} ({largest})"
+        for sample, region, *_, largest in rows
+        if float(largest) > LARGEST_Z[region in BEYOND]
+    ]
+    yield f"The largest |z| is above {LARGEST_Z[False]:g}, or at larger incidences above {LARGEST_Z[True]:g}: {'; '.join(far) or 'nowhere'}."
     yield ""
     yield (
         "Gloss of the completed BSDF with a nominal gloss meter: mean over the rigs ± its uncertainty from that of the BSDF; the gloss of the truth; "
@@ -646,6 +666,10 @@ def _completed_section(outcomes: Sequence[Outcome]) -> Iterator[str]:
     yield ""
     yield from _table(("sample", "angle", "gloss", "of the truth", "mirror direction", "rms of z"), _by_gloss(outcomes))
     yield ""
+
+
+def _listed(values: Sequence[float]) -> str:
+    return ", ".join(f"{value:g}" for value in values)
 
 
 def _by_region(outcomes: Sequence[Outcome]) -> Iterator[tuple[str, ...]]:

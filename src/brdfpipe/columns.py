@@ -123,7 +123,7 @@ def read_text(
         if not text.isascii():
             # Minus signs and no-break spaces come from spreadsheets.
             text = text.translate({0x2212: "-", 0xA0: " ", 0x202F: " ", 0xFEFF: None})
-        return text, [] if title == "UTF-8" else [f"{path.name} was decoded as {title}"]
+        return text, [] if title == "UTF-8" else [f"{path.name} was decoded as {title}."]
     accepted = f"text in UTF-8, UTF-16 or Latin-1{if_binary}"
     raise InputError(path, "the file is binary, not text", accepted=accepted, key=key)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from decimal import Decimal
 from functools import partial
 from pathlib import PurePath
 from typing import Any
@@ -36,6 +37,11 @@ def shortened(text: str, most: int) -> str:
 def abbreviated(items: Sequence[str], most: int, separator: str = ", ") -> str:
     """A list for a message, with "…" in place of what exceeds ``most`` items."""
     return separator.join([*items[:most], *(["…"] if len(items) > most else [])])
+
+
+def plain(value: float, digits: int = 3) -> str:
+    """A number to so many significant digits, without an exponent: 1470, not 1.47e+03."""
+    return f"{Decimal(f'{value:.{digits}g}'):f}"
 
 
 class BrdfpipeError(ValueError):

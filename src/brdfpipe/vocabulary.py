@@ -935,6 +935,9 @@ def validate(dataset: xr.Dataset, kind: str, source: str | None = None) -> xr.Da
     where = f"{source}: " if source else ""
     if kind not in KINDS:
         raise VocabularyError(f"{where}unknown kind of dataset {kind!r}; accepted: {', '.join(KINDS)}")
+    if not isinstance(dataset, xr.Dataset):
+        found = f"{type(dataset).__name__}; brdfpipe.open_dataset reads one from a file"
+        raise VocabularyError(f"{where}expected a dataset of kind {kind!r}, found {found}")
     stated = dataset.attrs.get("kind", kind)
     if stated != kind:
         raise VocabularyError(f"{where}expected a dataset of kind {kind!r}, found kind {stated!r}")

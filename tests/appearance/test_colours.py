@@ -144,13 +144,15 @@ def test_colours_of_a_surface_with_a_lay_are_those_of_the_mean_over_the_azimuth(
 
 
 def test_the_appearance_of_a_surface_with_a_lay_contains_both_planes():
-    computed = vocabulary.validate(appearance.compute_appearance(brushed(37), gloss_angles=[60]), "appearance")
+    computed = vocabulary.validate(appearance.compute_appearance(brushed(37), gloss_angles=[60], haze=()), "appearance")
     assert float(computed["lay"]) == pytest.approx(37, abs=1e-6)
     assert float(computed["gloss_along"][0]) > float(computed["gloss"][0]) > float(computed["gloss_across"][0])
     assert computed["lab_along"].sel(geometry="8:total").values == pytest.approx(
         computed["lab"].sel(geometry="8:total").values, abs=1e-12
     )
-    assert not {"gloss_along", "lay"} & set(appearance.compute_appearance(samples.beckmann_bsdf(0.1)).variables)
+    assert not {"gloss_along", "lay"} & set(
+        appearance.compute_appearance(samples.beckmann_bsdf(0.1), haze=()).variables
+    )
 
 
 def test_geometries_off_the_mirror_direction_of_a_polished_surface_see_its_base_alone():

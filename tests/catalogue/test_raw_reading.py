@@ -122,6 +122,13 @@ def test_two_spectra_of_a_sample_are_read_together_and_refused_with_their_own_ke
     assert "the key 'sce' is missing" in load(tmp_path).failures["m"]
 
 
+def test_a_spectrum_without_the_specular_component_is_not_called_total(tmp_path: Path) -> None:
+    material(tmp_path, "m", "spectrum: {file: e.csv, geometry: sce}\n", e__csv=SPECTRUM)
+    loaded = load(tmp_path)
+    (line, *_) = describe_files(loaded, loaded["m"])
+    assert line.startswith("e.csv: reflectance without the specular component from 0.24 to 0.27 at 16 wavelengths")
+
+
 def wrong_catalogue(folder: Path, tmp_path: Path) -> None:
     """Materials whose mistake only the content of a raw file shows."""
     surface, index = x3p(tmp_path), "index: PP\n"

@@ -64,6 +64,7 @@ def test_the_shipped_scenes_are_listed() -> None:
     lines = run("scenes").output.splitlines()
     assert lines[0].startswith("catalogue: ")
     assert any(line.startswith("gloss-sheet: ") and line.endswith("(gloss, haze)") for line in lines)
+    assert Path(lines[-1].removeprefix("Their files are in ").partition(";")[0], "gloss-sheet.yaml").is_file()
 
 
 def test_check_verify_scenes_and_formats_print_json_for_scripts(tmp_path: Path) -> None:

@@ -14,6 +14,7 @@ from click.testing import CliRunner, Result
 from brdfpipe import store
 from brdfpipe.cli import summaries, terminal_plots
 from brdfpipe.cli.main import main
+from brdfpipe.texture.picture_texture import of_pictures
 
 PROJECT = Path(__file__).parents[2]
 
@@ -40,7 +41,9 @@ def test_a_bsdf_is_shown_with_its_reflectance_and_a_cut(saved: Path) -> None:
 
 
 def test_a_scan_and_a_spectrum_are_shown_by_the_keys_of_a_description() -> None:
-    assert "▓" in run("show", PROJECT / "examples/abs-grain/grain.x3p").output
+    scan = run("show", PROJECT / "examples/abs-grain/grain.x3p").output
+    assert "▓" in scan
+    assert "extent" in scan
     reflectance = PROJECT / "examples/abs-grain/reflectance.txt"
     refused = run("show", reflectance)
     assert refused.exit_code == 2
@@ -54,6 +57,30 @@ def test_the_results_of_a_folder_without_a_build_are_refused(tmp_path: Path) -> 
     found = run("show", tmp_path)
     assert found.exit_code == 2
     assert "no results of a build" in found.output
+
+
+def test_the_results_of_a_scene_are_shown_from_its_folder_and_named_from_others(saved: Path, tmp_path: Path) -> None:
+    scene = tmp_path / "scenes" / "near"
+    for folder in (tmp_path / "grain", scene / "grain"):
+        folder.mkdir(parents=True)
+    (tmp_path / "grain" / "bsdf.nc").write_bytes(saved.read_bytes())
+    row = xr.Dataset({"verdict": ("material", ["pass"])}, {"material": ["grain"]})
+    for path in (scene / "catalogue.nc", scene / "grain" / "summary.nc"):
+        row.to_netcdf(path)
+    assert summaries.bsdf_of(scene / "grain") == tmp_path / "grain" / "bsdf.nc"
+    assert f"accepted: the results of a scene: {scene}" in run("show", tmp_path).output
+    assert "those of the material in a scene" in run("show", tmp_path / "grain").output
+
+
+def test_a_texture_is_shown_with_its_sparkles_and_a_tile(tmp_path: Path) -> None:
+    light = np.random.default_rng(1).random((80, 80))
+    texture = of_pictures({"45as15": light, "diffuse": light + 1}, pixel=20.0, size=64)
+    store.save_dataset(texture, tmp_path / "t.nc", stage="picture_texture", material="paint")
+    shown = run("show", tmp_path / "t.nc").output
+    assert "sparkle_density [mm-2]" in shown
+    assert "relative light of the tile at 45as15" in shown
+    listed = json.loads(run("show", tmp_path / "t.nc", "--json").output)
+    assert listed["theta_f [degree]"].keys() == {"45as15"}
 
 
 def test_a_figure_is_written(saved: Path, tmp_path: Path) -> None:

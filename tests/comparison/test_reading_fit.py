@@ -78,7 +78,8 @@ def test_readings_of_steeper_slopes_ask_for_them() -> None:
     ]
 
 
-@pytest.mark.parametrize("sigma", [0.05, pytest.param(0.25, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("sigma", [0.05, 0.25])
 def test_readings_of_higher_waves_ask_for_larger_heights(sigma: float) -> None:
     """A smooth surface, of which waves reflect all the light, and one of which facets reflect a part."""
     index, spectrum, length = inputs()["index"], inputs()["spectrum"], 8.0

@@ -149,6 +149,7 @@ def test_light_into_a_body_is_said_to_be_left_out(tmp_path):
     assert record["error"]["percentile_95"] < 1
 
 
+@pytest.mark.slow
 def test_a_lay_is_kept(tmp_path):
     brushed = samples.brushed_bsdf(0.4, 0.15)
     write(brushed, tmp_path / "brushed.klems.xml")

@@ -79,10 +79,17 @@ def catalogue(tmp_path_factory: pytest.TempPathFactory) -> Path:
     np.save(folder / "brushed" / "scan.npy", _brushed())
     (folder / "brushed" / "material.yaml").write_text(
         "surface: {file: scan.npy, unit: um, pitch: 1, isotropic: false}\nindex: 1.5\n"
-        "model: {optics: facets, truth: none}\nexports: [openmaterial, klems, gltf]\n"
+        "model: {optics: facets, truth: none}\nexports: [openmaterial, samples, gltf]\n"
     )
     (folder / "plain" / "material.yaml").write_text("surface: {distribution: beckmann, slope_rms: 0.3}\nindex: 1.5\n")
     return folder
+
+
+def settings(catalogue: Path) -> Path:
+    """A configuration without pictures and haze, which take longest of a lay and are not the question here."""
+    path = catalogue.parent / "settings.yaml"
+    path.write_text("preview: false\nappearance: {haze: []}\n")
+    return path
 
 
 def _brushed() -> np.ndarray:
@@ -94,7 +101,7 @@ def _brushed() -> np.ndarray:
 @pytest.fixture(scope="module")
 def results(catalogue: Path) -> Path:
     out = catalogue.parent / "out"
-    summary = build(catalogue, out, cores=2)
+    summary = build(catalogue, out, cores=2, config=settings(catalogue))
     assert summary.failures == {}
     assert set(summary.built) == {"brushed", "plain"}
     assert list(summary.refused_exports) == ["brushed"]
@@ -104,7 +111,7 @@ def results(catalogue: Path) -> Path:
 
 def test_a_material_with_refused_exports_is_built_with_its_page_and_other_exports(results: Path) -> None:
     files = {path.name for path in (results / "brushed" / "exports").iterdir()}
-    assert {"brushed.klems.xml", "brushed.klems.xml.json"} <= files
+    assert {"brushed.samples.csv", "brushed.samples.csv.json"} <= files
     assert not [name for name in files if "gltf" in name or "xompt" in name]
     page = (results / "brushed" / "report.html").read_text(encoding="utf-8")
     assert "export gltf not written" in page
@@ -116,7 +123,7 @@ def test_a_material_with_refused_exports_is_built_with_its_page_and_other_export
 
 
 def test_an_unchanged_catalogue_exports_nothing_again_and_says_the_same(catalogue: Path, results: Path) -> None:
-    again = build(catalogue, results, cores=2)
+    again = build(catalogue, results, cores=2, config=settings(catalogue))
     assert again.jobs == 0
     assert list(again.refused_exports) == ["brushed"]
 
@@ -125,7 +132,7 @@ def test_check_says_beforehand_which_exports_a_lay_forbids(catalogue: Path) -> N
     answer = CliRunner().invoke(main, ["check", str(catalogue)])
     assert answer.exit_code == 1
     assert "export gltf will not be written" in answer.output
-    assert "export klems" not in answer.output
+    assert "export samples" not in answer.output
     assert "2 ok, 0 wrong, 2 exports refused" in answer.output
 
 

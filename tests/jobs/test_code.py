@@ -185,6 +185,17 @@ def test_a_page_template_engine_reruns_reports_alone() -> None:
     assert users == {"report", "summary", "catalogue"}
 
 
+def test_the_digests_of_all_stages_ask_once_for_each_library_and_the_next_build_asks_again(
+    root: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    alone, asked = digest(root), list[str]()
+    monkeypatch.setattr(code, "version", lambda library: asked.append(library) or version(library))
+    for _ in range(2):
+        with code.remember_parsed(root / "parsed.json"):
+            assert digest(root) == digest(root) == alone
+    assert asked == ["numpy", "numpy"]
+
+
 @pytest.mark.parametrize("stage", STAGES.values(), ids=list(STAGES))
 def test_every_stage_has_a_digest_of_its_own(stage: Stage) -> None:
     assert len(code.digest(script(stage), extra_modules=stage.modules)) == 32
@@ -212,7 +223,48 @@ for step, (script, *arguments) in enumerate(json.load(sys.stdin)):
 RIG_PLAN = small_rig.PLAN.replace("incidences: [20]", "incidences: [20, 45]\nruns: [etalon, sample]")
 
 
-@pytest.mark.parametrize("solution", ["kirchhoff", pytest.param("traced", marks=pytest.mark.slow)])
+def loaded_modules(steps: list[Step], folder: Path) -> list[set[str]]:
+    """Run the scripts one after the other; the modules of the package that each loads and that can change its results."""
+    commands = [(str(script(STAGES[step.stage])), step.inputs, step.outputs, step.params) for step in steps]
+    command = [sys.executable, "-c", RUN_STAGES]
+    subprocess.run(command, cwd=folder, input=json.dumps(commands), text=True, check=True)
+    loaded = [json.loads((folder / f"{number}.loaded").read_text()) for number in range(len(steps))]
+    return [{name for name in names if not f"{name}.".startswith(code.MODULES_WITHOUT_EFFECT)} for names in loaded]
+
+
+def check_modules(steps: list[Step], folder: Path) -> None:
+    """Every module that a script loads is in the digest of its stage."""
+    for step, loaded in zip(steps, loaded_modules(steps, folder), strict=True):
+        assert len(loaded) > 3
+        stage = STAGES[step.stage]
+        assert loaded <= set(code.modules(script(stage), extra_modules=stage.modules)), step.stage
+
+
+def test_the_digests_of_the_stages_of_a_colour_cover_every_module_that_their_runs_load(tmp_path: Path) -> None:
+    """The representative of the next test."""
+    specs: dict[str, dict[str, Any]] = {
+        "index": {"index": 1.5},
+        "facets": {"distribution": "ggx", "a": 0.3},
+        "spectrum": {"lab": [50, 0, 0], "illuminant": "D65", "observer": 10, "geometry": "sci"},
+        "predicted": {"multiple_scattering": "none"},
+        "bsdf": {"route": "predicted"},
+        "checks": {},
+    }
+    inputs = {
+        "spectrum": ["index"],
+        "predicted": ["facets", "index", "spectrum"],
+        "bsdf": ["predicted"],
+        "checks": ["bsdf"],
+    }
+    steps = [
+        Step(stage, {name: name for name in inputs.get(stage, [])}, {stage: stage}, {"material": "paint", "spec": spec})
+        for stage, spec in specs.items()
+    ]
+    check_modules(steps, tmp_path)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("solution", ["kirchhoff", "traced"])
 def test_the_digest_of_a_stage_covers_every_module_that_its_run_loads(tmp_path: Path, solution: str) -> None:
     """Every script, from raw files to the catalogue; the rig of 26 small frames is emulated."""
     example = installation.project_folder() / "examples" / "abs-grain"
@@ -310,14 +362,5 @@ def test_the_digest_of_a_stage_covers_every_module_that_its_run_loads(tmp_path: 
     run("catalogue", {"summaries": ["summary"]}, same("dataset", "csv", "lock", "page"), {"failures": {}})
     assert {script(STAGES[step.stage]) for step in steps} == set(SCRIPTS.glob("*.py"))
 
-    commands = [(str(script(STAGES[step.stage])), step.inputs, step.outputs, step.params) for step in steps]
-    command = [sys.executable, "-c", RUN_STAGES]
-    subprocess.run(command, cwd=tmp_path, input=json.dumps(commands), text=True, check=True)
+    check_modules(steps, tmp_path)
     assert store.open_dataset(tmp_path / "reference").attrs["representation"] == solution
-    for number, step in enumerate(steps):
-        loaded = set(json.loads((tmp_path / f"{number}.loaded").read_text()))
-        followed = {name for name in loaded if not f"{name}.".startswith(code.MODULES_WITHOUT_EFFECT)}
-        assert len(followed) > 3
-        assert followed <= set(code.modules(script(STAGES[step.stage]), extra_modules=STAGES[step.stage].modules)), (
-            step.stage
-        )

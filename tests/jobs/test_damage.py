@@ -96,6 +96,13 @@ class Kind(NamedTuple):
     """The material, or the calibration, that has it."""
     pattern: str
     """Path in the results, with the name of the owner as ``{}``."""
+    format: str | None = None
+    """The format whose export writes it."""
+
+    @property
+    def description(self) -> str:
+        """That of the template, without the exports that do not write this file: each would be a job more in every build."""
+        return TEMPLATES[self.template].replace(FORMS, f"exports: [{self.format}]\n" if self.format else "")
 
     @property
     def owner(self) -> str:
@@ -211,11 +218,19 @@ def build_templates(project: Path, base: Path) -> list[Kind]:
     write_calibration(base / "catalogue", "bench")
     assert build(base / "catalogue", base / "results", cores=2).failures == {}
     found: dict[str, Kind] = {}
-    for path in (path for job in Index(base / "results").jobs.values() for path in job.outputs):
-        for template in (name for name in (*TEMPLATES, "bench") if name in re.split("[/.]", path)):
-            pattern = path.replace(template, "{}")
-            found.setdefault(re.sub(r"-\d+\.nc$", "", pattern), Kind(template, pattern))
-    return sorted(found.values())
+    for job in Index(base / "results").jobs.values():
+        format = next(filter(None, map(format_of_export, job.outputs)), None)
+        for path in job.outputs:
+            for template in (name for name in (*TEMPLATES, "bench") if name in re.split("[/.]", path)):
+                pattern = path.replace(template, "{}")
+                found.setdefault(re.sub(r"-\d+\.nc$", "", pattern), Kind(template, pattern, format))
+    return sorted(found.values(), key=lambda kind: kind[:2])
+
+
+def format_of_export(path: str) -> str | None:
+    """The format of an export's record (``astm`` of ``export_astm_transmission.nc``); ``None`` for other files."""
+    name = Path(path).stem.partition("export_")[2].replace("_", "-")
+    return max((format for format in WRITTEN if name.startswith(format)), key=len, default=None)
 
 
 def write_copies(folder: Path, kinds: Iterable[Kind]) -> None:
@@ -226,7 +241,7 @@ def write_copies(folder: Path, kinds: Iterable[Kind]) -> None:
             text = TEMPLATES["t-rig"].replace("calibration: bench", f"calibration: {kind.owner}")
             write_material(folder, f"by-{kind.owner}", text)
         else:
-            write_material(folder, kind.owner, TEMPLATES[kind.template])
+            write_material(folder, kind.owner, kind.description)
 
 
 def outcomes(

@@ -4,7 +4,8 @@ import math
 
 import pytest
 
-from brdfpipe.report.formatting import length, share_percent, uncertainty_value, value_with_u
+from brdfpipe.errors import plain
+from brdfpipe.report.formatting import length, plus_minus_u, share_percent, uncertainty_value, value_with_u
 
 
 @pytest.mark.parametrize(
@@ -12,6 +13,14 @@ from brdfpipe.report.formatting import length, share_percent, uncertainty_value,
 )
 def test_small_heights_are_written_in_nanometres(micrometres: float, words: str) -> None:
     assert " ".join(length(micrometres)) == words
+
+
+@pytest.mark.parametrize(
+    ("value", "digits", "words"),
+    [(1470.4, 3, "1470"), (123456.0, 3, "123000"), (2.0, 4, "2"), (0.000123456, 3, "0.000123"), (0.0, 3, "0")],
+)
+def test_lengths_in_messages_have_no_exponent(value: float, digits: int, words: str) -> None:
+    assert plain(value, digits) == words
 
 
 @pytest.mark.parametrize(
@@ -25,6 +34,11 @@ def test_shares_too_small_to_mean_anything_have_no_digits(share: float, words: s
 @pytest.mark.parametrize(("u", "words"), [(0.0, "0"), (0.004, "< 0.01"), (0.0123, "0.01"), (1.234, "1.23")])
 def test_a_known_uncertainty_is_never_written_as_none(u: float, words: str) -> None:
     assert uncertainty_value(u) == words
+
+
+@pytest.mark.parametrize(("u", "words"), [(0.0, "± 0"), (0.0004, "± 0.01"), (1.234, "± 1.23"), (math.nan, "")])
+def test_beside_a_value_a_small_uncertainty_is_rounded_up(u: float, words: str) -> None:
+    assert plus_minus_u(u) == words
 
 
 @pytest.mark.parametrize(

@@ -65,7 +65,7 @@ def test_missing_heights_are_filled_from_their_neighbours_and_warned_of():
 def test_a_pixel_out_of_range_and_a_line_are_refused():
     surface = samples.surface(np.random.default_rng(1).normal(size=(64, 64)))
     for pixel in (0.5, 3.0):
-        with pytest.raises(BrdfpipeError, match="set the pixel"):
+        with pytest.raises(BrdfpipeError, match=r"set `texture\.pixel`"):
             pixel_heights(surface, pixel)
     with pytest.raises(BrdfpipeError, match="line profile"):
         pixel_heights(samples.surface(np.zeros(64)), 1.0)

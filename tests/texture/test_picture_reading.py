@@ -51,7 +51,9 @@ def test_colours_become_luminance(tmp_path):
 def test_saturated_sparkles_are_warned_of(tmp_path):
     light = (values() * 40000).astype(np.uint16)
     light[3:5, 3:5] = 65535
-    assert any("saturated" in text for text in read_picture(saved(tmp_path / "a.png", light)).warnings)
+    picture = read_picture(saved(tmp_path / "a.png", light))
+    assert any("4 of 6400 values are saturated" in text for text in picture.warnings)
+    assert picture.stored == "grey of 16 bits, linear"
 
 
 def test_what_is_no_picture_of_a_paint_is_refused(tmp_path):
@@ -65,14 +67,16 @@ def test_what_is_no_picture_of_a_paint_is_refused(tmp_path):
     bad = values().astype(np.float32)
     bad[0, 0] = np.nan
     saved(tmp_path / "missing.tif", bad)
+    saved(tmp_path / "dark.tif", np.full((80, 80), -0.5, np.float32))
     Image.new("L", (80, 80)).save(tmp_path / "lossy.jpg")
     for name, words in (
         ("text.png", "not a picture"),
         ("cut.png", "not a picture"),
         ("small.png", "too small"),
-        ("black.png", "no light"),
+        ("black.png", "found 0 everywhere"),
         ("clear.png", "kind of the picture"),
-        ("missing.tif", "no light"),
+        ("missing.tif", "found 1 of 6400 not finite"),
+        ("dark.tif", "found 6400 of 6400 below 0, down to -0.5"),
         ("lossy.jpg", "not a picture"),
         ("absent.png", "not a picture"),
     ):

@@ -96,5 +96,16 @@ def test_pictures_are_read_from_files_with_their_warnings(tmp_path):
     x = np.linspace(-1, 1, 128)
     uneven = of_pictures({"45as15": values * (1.5 + x)}, pixel=20.0, size=64)
     assert any("light it more evenly" in text for text in vocabulary.warnings(uneven))
-    with pytest.raises(BrdfpipeError, match="unknown geometry"):
+    with pytest.raises(BrdfpipeError, match="is unknown"):
         of_pictures({"sideways": values}, pixel=20.0, size=64)
+
+
+@pytest.mark.parametrize("side", [64, 80])
+def test_pictures_of_different_sizes_have_their_spectra_at_the_same_frequencies(side):
+    light = np.random.default_rng(1).random((128, 128))
+    small = of_pictures({"45as15": light[:side, :side]}, pixel=20.0, size=96)
+    both = of_pictures({"45as15": light[:side, :side], "diffuse": light}, pixel=20.0, size=96)
+    assert both["texture_frequency"].values == pytest.approx(small["texture_frequency"].values)
+    # Of white noise in every ring the density is the variance times the area of a pixel.
+    flat = both["sample_contrast_psd"].sel(geometry="diffuse") / (light.var() / light.mean() ** 2 * 20.0**2)
+    assert float(flat.mean()) == pytest.approx(1.0, abs=0.1)

@@ -99,3 +99,7 @@ def test_what_cannot_be_evaluated_is_refused(gaussian):
         Textured(full, texture)
     with pytest.raises(VocabularyError, match="theta_i"):
         Textured(full, texture, rest).evaluate(95.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    with pytest.raises(VocabularyError, match=r"x \(2,\), y \(3,\)"):
+        Textured(full, texture, rest).evaluate(45.0, 0.0, 0.0, 0.0, [0.0, 1.0], [0.0, 1.0, 2.0])
+    with pytest.raises(VocabularyError, match=r"found str; brdfpipe\.open_dataset"):
+        Textured(full, "texture.nc", rest)

@@ -5,11 +5,14 @@ from __future__ import annotations
 import shutil
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from brdfpipe import store
 from brdfpipe.catalogue.catalogue import load
+from brdfpipe.catalogue.format_checks import check_formats
 from brdfpipe.catalogue.raw_reading import describe_files
+from brdfpipe.errors import InputError
 from brdfpipe.jobs.build import build
 from brdfpipe.scenes.scene import Scene, load_scene
 from brdfpipe.stages import STAGES, Subject
@@ -69,7 +72,36 @@ def test_a_texture_without_what_it_is_made_of_is_refused(tmp_path, keys, words):
 
 def test_check_reads_the_pictures(catalogue):
     lines = describe_files(catalogue, catalogue["sparkling-texture"])
-    assert lines == [f"{name}.png: a picture of 192 x 192 pixels" for name in ("45as15", "45as45", "diffuse")]
+    assert [line.partition(", light")[0] for line in lines] == [
+        f"{name}.png: picture of 192 × 192 pixels, 3.84 × 3.84 mm of the sample, grey of 16 bits, linear"
+        for name in ("45as15", "45as45", "diffuse")
+    ]
+
+
+@pytest.mark.parametrize(
+    ("geometry", "words"),
+    [("45a15", "accepted: diffuse, or as 45as15"), ("diffuze", "did you mean 'diffuse'"), ("45as140", "not above")],
+)
+def test_a_geometry_that_is_misspelt_is_refused_without_reading_the_picture(tmp_path, geometry, words):
+    (tmp_path / "a").mkdir()
+    (tmp_path / "a" / "material.yaml").write_text(
+        f"spectrum: {{lab: [50, 0, 0], illuminant: D65, observer: 10, geometry: sci}}\ntexture: {{pictures: [{{file: a.png, geometry: '{geometry}'}}], pixel: 4}}"
+    )
+    (tmp_path / "a" / "a.png").write_bytes(b"no picture")
+    with pytest.raises(InputError, match=words):
+        check_formats(load(tmp_path)["a"])
+
+
+@pytest.mark.parametrize("pixel", [0.5, 100])
+def test_check_refuses_a_pixel_that_the_scan_cannot_have(tmp_path, pixel):
+    (tmp_path / "a").mkdir()
+    (tmp_path / "a" / "material.yaml").write_text(
+        f"surface: {{file: a.npy, unit: um, pitch: 1}}\nindex: 1.5\ntexture: {{pixel: {pixel}}}"
+    )
+    np.save(tmp_path / "a" / "a.npy", np.random.default_rng(1).normal(scale=0.1, size=(64, 64)))
+    catalogue = load(tmp_path)
+    with pytest.raises(InputError, match=r"set `texture\.pixel`"):
+        describe_files(catalogue, catalogue["a"])
 
 
 @pytest.mark.slow

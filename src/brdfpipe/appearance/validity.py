@@ -20,6 +20,7 @@ from brdfpipe.bsdf.microfacet.phase_variance import (
     unresolved_rms_height,
 )
 from brdfpipe.bsdf.wave import missed_light
+from brdfpipe.errors import plain
 from brdfpipe.facets.facet_dataset import NOISE_ADVICE
 from brdfpipe.flakes.refraction import largest_flake_angle
 from brdfpipe.geometry import Array
@@ -251,7 +252,7 @@ def _band(datasets: Datasets) -> Judgement | None:
     if "psd" not in datasets or datasets["psd"].attrs["form"] != "measured":
         return None
     low, high = (float(datasets["psd"][name]) for name in ("band_low", "band_high"))
-    finding = f"{1 / high:.3g} to {1 / low:.3g} µm"
+    finding = f"{plain(1 / high)} to {plain(1 / low)} µm"
     if (longer := float(datasets["psd"].get("long_sigma", 0.0))) > 0:
         finding += f"; longer waves have an rms height of {_nanometres(longer)}"
     return Judgement("Measured wavelengths of the relief", finding, "pass")

@@ -309,9 +309,11 @@ def _closure(model: Representation) -> float:
 
 
 def _share(size: float) -> str:
-    """A share as a percentage of two digits; one that is rounding alone as a power of ten."""
-    if not 1e-6 <= size < 1e4:
-        return f"{size:.0e}" if size else "0"
+    """A share as a percentage of two digits; one that is rounding alone as less than 0.0001 %."""
+    if size < 1e-6:
+        return "less than 0.0001%" if size else "0"
+    if not size < 1e4:
+        return f"{size:.0e}"
     return f"{np.format_float_positional(100 * size, precision=2, fractional=False, trim='-')}%"
 
 

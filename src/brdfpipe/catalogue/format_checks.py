@@ -51,7 +51,7 @@ def check_formats(material: Material) -> None:
         if path.stat().st_size == 0:
             raise InputError(path, "an empty file", key=f"{key}.file")
         if part.startswith("texture-"):
-            _check_picture(path, key)
+            _check_picture(path, content["texture"]["pictures"][int(part.partition("-")[2]) - 1]["geometry"], key)
             continue
         if part == "table":
             format_of(path, content["table"].get("format"))
@@ -97,12 +97,17 @@ def check_flakes(colours: xr.Dataset, material: Material) -> None:
     flake.build(colours, **_read_by_stage(material, "flake"))
 
 
-def _check_picture(path: Path, key: str) -> None:
+def _check_picture(path: Path, geometry: str, key: str) -> None:
     from brdfpipe.texture.picture_reading import PICTURES
+    from brdfpipe.texture.picture_texture import picture_angle
 
     if path.suffix.lower() not in PICTURES:
         found, accepted = path.suffix or "none", ", ".join(PICTURES)
         raise InputError(path, "unknown file extension", found=found, accepted=accepted, key=f"{key}.file")
+    try:
+        picture_angle(geometry)
+    except BrdfpipeError as refusal:
+        raise InputError(path, str(refusal), key=f"{key}.geometry") from None
 
 
 def _read_by_stage(material: Material, stage: str) -> dict[str, Any]:

@@ -935,7 +935,7 @@ class PictureTexture(Keys):
         max_length=8,
     )
     pixel: float = key(
-        "side of a pixel of the pictures on the sample", required=True, unit="µm", gt=0, le=10_000, example=20
+        "side of a pixel of the pictures on the sample", required=True, unit="µm", ge=0.1, le=10_000, example=20
     )
     curve: Annotated[str, OneOf(("linear", "srgb"))] = key(
         "what the values are to the light: linear (proportional) or srgb",

@@ -13,7 +13,7 @@ from brdfpipe import vocabulary
 from brdfpipe.catalogue.catalogue import Catalogue
 from brdfpipe.catalogue.format_checks import check_flakes
 from brdfpipe.catalogue.material import BASE_INDEX, OTHER_FACES, Material
-from brdfpipe.errors import BrdfpipeError, InputError, abbreviated, naming_key, naming_origin, shortened
+from brdfpipe.errors import BrdfpipeError, InputError, abbreviated, naming_key, naming_origin, plain, shortened
 from brdfpipe.stages import STAGES, Subject
 
 _READ_BY = {"table": "imported"}
@@ -59,15 +59,20 @@ def _described(catalogue: Catalogue, material: Material) -> list[str]:
             _check_absorption(dataset, name, material, path)
     if scans:
         _check_scans(catalogue, material, scans)
+        _check_grain(material, scans[0])
     return lines
 
 
 def _picture_words(material: Material, path: Path) -> Iterator[str]:
     from brdfpipe.texture.picture_reading import read_picture
 
-    picture = read_picture(path, material.content["texture"].get("curve"))
-    rows, columns = picture.values.shape
-    yield f"{path.name}: a picture of {columns} x {rows} pixels"
+    keys = material.content["texture"]
+    picture = read_picture(path, keys.get("curve"))
+    values = picture.values
+    millimetres = " × ".join(plain(count * keys["pixel"] / 1000) for count in reversed(values.shape))
+    counts = " × ".join(str(count) for count in reversed(values.shape))
+    light = f"light from {values.min():.3g} to {values.max():.3g}, {values.mean():.3g} in the mean"
+    yield f"{path.name}: picture of {counts} pixels, {millimetres} mm of the sample, {picture.stored}, {light}"
     yield from (f"  warning: {text.removeprefix(f'{path.name}: ')}" for text in picture.warnings)
 
 
@@ -121,6 +126,17 @@ def _check_scans(catalogue: Catalogue, material: Material, scans: list[xr.Datase
         raise InputError(material.files["surface"], str(refusal)) from None
 
 
+def _check_grain(material: Material, surface: xr.Dataset) -> None:
+    """Refuse what the stage of the texture will refuse for the scan's extent, pitch or gaps."""
+    from brdfpipe.texture.height_pixels import check_pixel
+
+    if "texture" in material.content:
+        try:
+            check_pixel(surface, material.content["texture"]["pixel"])
+        except BrdfpipeError as refusal:
+            raise InputError(material.files["surface"], str(refusal)) from None
+
+
 def _words(path: Path, part: str, dataset: xr.Dataset) -> Iterator[str]:
     yield shortened(f"{path.name}: {_content(dataset)}", _MOST_WORDS)
     titles = _titles(path) if part == "spectrum" else ""
@@ -148,7 +164,7 @@ def _titles(path: Path) -> str:
 def _content(dataset: xr.Dataset) -> str:
     """What a dataset holds, in a line."""
     if dataset.attrs["kind"] == "surface":
-        return _relief(dataset)
+        return relief_words(dataset)
     spectral = [
         name
         for name, values in dataset.data_vars.items()
@@ -157,6 +173,8 @@ def _content(dataset: xr.Dataset) -> str:
     if dataset.attrs["kind"] in ("spectrum", "index", "interior") and spectral:
         nm, values = dataset["wavelength"].values, dataset[spectral[0]].values
         label = str(dataset[spectral[0]].attrs.get("long_name", spectral[0]))
+        if dataset.attrs.get("geometry") == "sce":
+            label = "reflectance without the specular component"
         known = ", with its uncertainty" if f"{spectral[0]}_u" in dataset else ""
         geometry = (
             f", {dataset.attrs['geometry']} at {dataset.attrs['theta_i']:g}°" if "geometry" in dataset.attrs else ""
@@ -169,14 +187,15 @@ def _content(dataset: xr.Dataset) -> str:
     return f"{dataset.attrs['kind']} of {sizes}"
 
 
-def _relief(surface: xr.Dataset) -> str:
+def relief_words(surface: xr.Dataset) -> str:
+    """Size, pitch, extent and range of the heights of a surface, in a line."""
     height = surface["height"].values
     pitches = [surface.attrs[f"pitch_{dim}"] for dim in reversed(surface["height"].dims)]
     counts = " × ".join(str(count) for count in reversed(height.shape))
-    pitch = " × ".join(f"{value:.4g}" for value in pitches)
-    extent = " × ".join(f"{value * count:.4g}" for value, count in zip(pitches, reversed(height.shape), strict=True))
+    pitch = " × ".join(plain(value, 4) for value in pitches)
+    extent = " × ".join(plain(value * count, 4) for value, count in zip(pitches, reversed(height.shape), strict=True))
     missing = float(np.isnan(height).mean())
     return (
         f"{'line' if height.ndim == 1 else 'map'} of {counts} heights, pitch {pitch} µm, extent {extent} µm, levelled heights from "
-        f"{np.nanmin(height):.4g} to {np.nanmax(height):.4g} µm, {missing:.2%} missing"
+        f"{plain(np.nanmin(height), 4)} to {plain(np.nanmax(height), 4)} µm, {missing:.2%} missing"
     )

@@ -324,15 +324,18 @@ def verify(results: Path, as_json: bool) -> int:
 @click.option("--json", "as_json", is_flag=True, help="Print their keys as JSON instead of lines.")
 @exit_on_error
 def scenes(as_json: bool) -> int:
-    """List the shipped scenes, their purposes and what they ask for."""
+    """List the shipped scenes, their purposes and what they ask for, and where their files are."""
     from brdfpipe.scenes.scene import load_scene, shipped_scenes
 
-    contents = {name: load_scene(name).content for name in shipped_scenes()}
+    files = shipped_scenes()
+    contents = {name: load_scene(name).content for name in files}
     if as_json:
         print_json(contents)
         return 0
     for name, content in contents.items():
         click.echo(f"{name}: {content['purpose']} ({', '.join(content['results'])})")
+    folder = next(iter(files.values())).parent
+    click.echo(f"Their files are in {folder}; copy one under another name to start a scene of your own.")
     return 0
 
 

@@ -13,13 +13,14 @@ import xarray as xr
 
 from brdfpipe.cli import terminal_plots
 from brdfpipe.cli.console import FILE_KINDS
-from brdfpipe.errors import InputError, printable, shortened
+from brdfpipe.errors import InputError, abbreviated, printable, shortened
 
 _INCIDENCES = (0.0, 30.0, 60.0)
 """Of the cuts that ``show`` draws [degree]."""
 
 _MOST_SCALARS = 40
 _MOST_TEXT = 100
+_MOST_CASES, _MOST_SCENES = 8, 4
 
 
 def read_any(path: Path, kind: str | None = None, settings: tuple[str, ...] = ()) -> xr.Dataset:
@@ -90,10 +91,13 @@ def _setting(text: str) -> tuple[str, object]:
 
 
 def bsdf_of(folder: Path) -> Path:
-    """The BSDF in the results of a material."""
-    for name in ("bsdf.nc", "nominal_bsdf.nc", "planned.nc"):
-        if (folder / name).is_file():
-            return folder / name
+    """The BSDF in the results of a material; that of a scene may be the one that all scenes share."""
+    folder = folder.resolve()
+    shared = [folder.parents[2] / folder.name] if folder.parent.parent.name == "scenes" else []
+    for place in (folder, *shared):
+        for name in ("bsdf.nc", "nominal_bsdf.nc", "planned.nc"):
+            if (place / name).is_file():
+                return place / name
     raise InputError(folder, "no BSDF in this folder", accepted="the results of a material, with bsdf.nc")
 
 
@@ -108,6 +112,10 @@ def of_folder(folder: Path) -> tuple[dict[str, Any], xr.Dataset | None]:
         return {"results": str(folder), "materials": dict(zip(names, materials, strict=True))}, None
     if not (folder / "summary.nc").is_file():
         accepted = "a folder of results (catalogue.nc), or that of a material in it (summary.nc)"
+        if scenes := sorted(path.parent for path in folder.glob("scenes/*/catalogue.nc")):
+            accepted = f"the results of a scene: {abbreviated([str(path) for path in scenes], _MOST_SCENES)}"
+        elif (folder.parent / "scenes").is_dir():
+            accepted = f"those of the material in a scene, as {folder.parent / 'scenes' / '…' / folder.name}"
         raise InputError(folder, "no results of a build", accepted=accepted)
     row = store.open_dataset(folder / "summary.nc")
     bsdf = store.open_dataset(bsdf_of(folder), "bsdf")
@@ -145,6 +153,10 @@ def of_dataset(dataset: xr.Dataset) -> dict[str, Any]:
         }
     else:
         found["sizes"] = {str(name): int(size) for name, size in dataset.sizes.items()}
+        if kind == "surface":
+            from brdfpipe.catalogue.raw_reading import relief_words
+
+            found["heights"] = relief_words(dataset)
         scalars = [(name, value) for name, value in dataset.data_vars.items() if value.ndim == 0]
         for name, value in scalars[:_MOST_SCALARS]:
             # An axis is that of the page, from 0 to 180 degrees.
@@ -155,6 +167,14 @@ def of_dataset(dataset: xr.Dataset) -> dict[str, Any]:
                     if isinstance(number, int | float)
                     else str(number)
                 )
+        for name, value in dataset.data_vars.items():
+            # Figures of a few cases that have names, as the sparkles of pictures by geometry.
+            if value.ndim == 1 and value.size <= _MOST_CASES and value.dims[0] in dataset.coords:
+                cases = dataset[value.dims[0]]
+                if cases.dtype.kind in "OU" and value.dtype.kind == "f":
+                    unit = "" if (units := str(value.attrs.get("units", "1"))) == "1" else f" [{units}]"
+                    known = zip(map(str, cases.values), value.values.tolist(), strict=True)
+                    found[f"{name}{unit}"] = {case: number for case, number in known if math.isfinite(number)}
         for name in ("stage", "material", "method", "band", "history"):
             if text := str(dataset.attrs.get(name, "")):
                 found[name] = " ".join(text.splitlines())
@@ -192,7 +212,7 @@ def _listed(found: dict[str, Any], indent: str) -> Iterator[str]:
     width = max((len(name) for name in found), default=0) + 2
     for name, value in found.items():
         if isinstance(value, dict) and "value" in value:
-            unit = "" if value.get("unit") in ("", "1") else f" {value['unit']}"
+            unit = "" if value.get("unit") in ("", "1") else f" {'µm' if value['unit'] == 'um' else value['unit']}"
             yield f"{indent}{name:<{width}}{_number(value['value'], value.get('u'), unit)}{unit}"
         elif isinstance(value, dict) and all(isinstance(one, int | float) for one in value.values()):
             yield f"{indent}{name:<{width}}" + "  ".join(f"{key} {one:.4g}" for key, one in value.items())
@@ -212,7 +232,16 @@ def plot(dataset: xr.Dataset) -> list[str]:
         return _cuts(dataset)
     if kind == "surface" and dataset["height"].ndim == 2:
         return ["height, the highest places full", *terminal_plots.relief(dataset["height"].values.astype(float))]
-    for name, value in dataset.data_vars.items():
+    if kind == "texture":
+        name = "height" if "height" in dataset else "relative_light"
+        shown, of = dataset[name], ""
+        if "geometry" in shown.dims:
+            shown, of = shown[0], f" at {dataset['geometry'].values[0]}"
+        return [
+            f"{name.replace('_', ' ')} of the tile{of}, the highest places full",
+            *terminal_plots.relief(shown.values.astype(float)),
+        ]
+    for title, value in dataset.data_vars.items():
         if (
             value.ndim == 1
             and value.size > 2
@@ -221,7 +250,7 @@ def plot(dataset: xr.Dataset) -> list[str]:
             and np.issubdtype(dataset[value.dims[0]].dtype, np.number)
         ):
             along = dataset[value.dims[0]]
-            label, unit = str(value.attrs.get("long_name", name)), value.attrs.get("units", "1")
+            label, unit = str(value.attrs.get("long_name", title)), value.attrs.get("units", "1")
             x_label = f"{along.name} [{along.attrs.get('units', '1')}]"
             return terminal_plots.curves(along.values.astype(float), [value.values], x_label, f"{label} [{unit}]")
     return []

@@ -125,9 +125,12 @@ def _line(text: str, comment: str) -> Iterator[str]:
 
 
 def _short_help(field: FieldInfo) -> str:
-    """The help of a key up to the first semicolon, with its unit."""
-    unit = notes_of(field).unit
-    help = (field.description or "").partition(";")[0]
+    """The help of a key up to the first semicolon that is not in parentheses, with its unit."""
+    unit, help = notes_of(field).unit, ""
+    for part in (field.description or "").split(";"):
+        help += f";{part}" if help else part
+        if help.count("(") == help.count(")"):
+            break
     return help + (f" [{unit}]" if unit else "")
 
 

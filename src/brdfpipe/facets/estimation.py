@@ -17,6 +17,7 @@ import numpy as np
 import xarray as xr
 
 from brdfpipe import vocabulary
+from brdfpipe.errors import plain
 from brdfpipe.facets.height_maps import estimate_from_maps
 from brdfpipe.facets.line_profiles import METHODS, check_directions, estimate_from_lines
 from brdfpipe.facets.slope_histogram import FacetError
@@ -117,17 +118,17 @@ def _with_others_stated(facets: xr.Dataset, first: xr.Dataset, extending: Sequen
     if not extending:
         return facets
     pitch, others = float(first.attrs["pitch_x"]), [float(scan.attrs["pitch_x"]) for scan in extending]
-    stated = ", ".join(f"{other:.3g}" for other in others)
+    stated = ", ".join(plain(other) for other in others)
     facets = vocabulary.add_history(
         facets,
-        f"The facets are those of the scans of the first pitch, {pitch:.3g} um; scans of the pitches {stated} um extend the roughness spectrum alone.",
+        f"The facets are those of the scans of the first pitch, {plain(pitch)} um; scans of the pitches {stated} um extend the roughness spectrum alone.",
     )
     nearest = min([pitch, *others], key=lambda value: abs(np.log(value / _RESOLVING)))
     if nearest == pitch:
         return facets
     return vocabulary.add_warning(
         facets,
-        f"slopes depend on the pitch: the facets are those of the first scan, of {pitch:.3g} um, but the one of {nearest:.3g} um is nearer to half a "
+        f"slopes depend on the pitch: the facets are those of the first scan, of {plain(pitch)} um, but the one of {plain(nearest)} um is nearer to half a "
         "wavelength of light; list it first in `surface`",
     )
 
@@ -147,9 +148,9 @@ def _check_consistent(scans: Sequence[xr.Dataset]) -> None:
             if max(values) > _TOLERANCE * min(values):
                 raise FacetError(
                     f"scans 1 and {number} of the surface have different bandwidths: {name} is "
-                    + " and ".join(f"{value:.4g} um" if value else "not set" for value in values)
+                    + " and ".join(f"{plain(value, 4)} um" if value else "not set" for value in values)
                     + "; accepted: cutoffs and pitches equal within 1 %; measure at one pitch and set one `surface.lambda_s` and "
-                    f"`surface.lambda_c` (with λs of at least {required:.4g} um, pitches may differ)"
+                    f"`surface.lambda_c` (with λs of at least {plain(required, 4)} um, pitches may differ)"
                 )
     for (one, a), (two, b) in combinations(enumerate(scans, start=1), 2):
         if _identical(a, b):

@@ -10,6 +10,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from brdfpipe import vocabulary
+from brdfpipe.errors import plain
 from brdfpipe.facets.density_changes import (
     changed,
     changes_of_widths,
@@ -332,7 +333,7 @@ def _remarks(
         warnings.append(
             f"the scan is only {np.floor(10 * lengths) / 10:.1f} correlation lengths wide, fewer than {needed}, and the uncertainty from its {BLOCKS} x "
             f"{BLOCKS} blocks is understated, by 10 % at 10 lengths, 20 % at 8 and more below; measure an area that is at least "
-            f"{needed * float(facets['correlation_length']):.3g} µm wide"
+            f"{plain(needed * float(facets['correlation_length']))} µm wide"
         )
     if np.isnan(lengths):
         warnings.append(

@@ -10,12 +10,12 @@ import ast
 import hashlib
 import json
 import sys
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from functools import cache
+from functools import cache, wraps
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, ParamSpec, TypeVar
 
 from brdfpipe.store import write_text
 
@@ -44,6 +44,26 @@ PACKAGE = "brdfpipe"
 
 SOURCE = Path(__file__).resolve().parents[2]
 """The folder that holds the package."""
+
+_P = ParamSpec("_P")
+_R = TypeVar("_R")
+_kept: dict[tuple[object, ...], object] | None = None
+"""Results of the functions below while :func:`remember_parsed` lasts."""
+
+
+def _kept_meanwhile(function: Callable[_P, _R]) -> Callable[_P, _R]:
+    """A function that :func:`remember_parsed` calls once for each file or library, not once for each stage that uses it."""
+
+    @wraps(function)
+    def once(*args: _P.args, **kwargs: _P.kwargs) -> _R:
+        if _kept is None:
+            return function(*args, **kwargs)
+        key = (function.__name__, *args)
+        if key not in _kept:
+            _kept[key] = function(*args, **kwargs)
+        return _kept[key]  # type: ignore[return-value]
+
+    return once
 
 
 def digest(script: Path, root: Path | None = None, extra_modules: Iterable[str] = ()) -> str:
@@ -89,9 +109,14 @@ def _module_files(script: Path, root: Path, extra_modules: Iterable[str]) -> dic
         if path is None:
             continue  # a name defined in a module
         covered[name] = path
-        waiting.extend(_absolute(_source(path).imports, name, path))
-        waiting.extend(_parents(name))
+        waiting.extend(_imported(name, path))
     return dict(sorted(covered.items()))
+
+
+@_kept_meanwhile
+def _imported(name: str, path: Path) -> tuple[str, ...]:
+    """What importing a module imports: modules of the package, perhaps names within them, and libraries."""
+    return (*_absolute(_source(path).imports, name, path), *_parents(name))
 
 
 def libraries(script: Path, root: Path | None = None, extra_modules: Iterable[str] = ()) -> tuple[str, ...]:
@@ -108,6 +133,7 @@ def _libraries(script: Path, covered: Mapping[str, Path]) -> tuple[str, ...]:
     return tuple(sorted(DISTRIBUTIONS.get(name, name) for name in names))
 
 
+@_kept_meanwhile
 def _installed(library: str) -> str:
     try:
         return version(library)
@@ -128,6 +154,7 @@ _parsed: dict[str, _Source] = {}
 _remembered: dict[str, _Source] = {}
 
 
+@_kept_meanwhile
 def _source(path: Path) -> _Source:
     key = f"{path} {path.stat().st_mtime_ns} {sys.hexversion}"
     if key not in _parsed and key in _remembered:
@@ -142,14 +169,19 @@ def _source(path: Path) -> _Source:
 
 @contextmanager
 def remember_parsed(file: Path) -> Iterator[None]:
-    """Reuse what an earlier process has parsed, from a file: parsing all modules takes seconds."""
+    """Reuse what an earlier process has parsed, from a file: parsing all modules takes seconds. Meanwhile the code is taken as unchanged."""
+    global _kept
     _remembered.clear()
     with suppress(OSError, ValueError):  # no such file, or a damaged one
         # A changed bit could hide an import, and with it a change of code, so the content has a digest.
         check, _, content = file.read_text(encoding="utf-8").partition("\n")
         if check == hashlib.sha256(content.encode()).hexdigest():
             _remembered.update({key: _Source(tuple(imports), digest) for key, imports, digest in json.loads(content)})
-    yield
+    _kept = {}
+    try:
+        yield
+    finally:
+        _kept = None
     if _parsed.keys() != _remembered.keys():
         content = json.dumps([(key, *source) for key, source in _parsed.items()])
         write_text(file, f"{hashlib.sha256(content.encode()).hexdigest()}\n{content}")
@@ -196,6 +228,7 @@ def _module_path(module: str, root: Path) -> Path | None:
     return next((path for path in (base.with_suffix(".py"), base / "__init__.py") if path.is_file()), None)
 
 
+@_kept_meanwhile
 def _data_files(package: Path) -> list[Path]:
     """Tables, templates and the like that belong to a package, not to a package below it."""
     files = []

@@ -43,6 +43,10 @@ _HORIZON = 1e-6  # cosine of the lowest direction that counts
 _FIELDS = ("visible_share", "visible_share_u", "smith_visible_share", "smith_error", "smith_error_u")
 
 
+_SMALLEST_SHOWN = 5e-4
+"""A smaller share of the light is 0.0 %."""
+
+
 def choose(
     surface: xr.Dataset,
     facets: xr.Dataset,
@@ -159,7 +163,10 @@ def _choice(comparison: xr.Dataset) -> tuple[str, str]:
     over_limit = np.abs(error) / (THRESHOLD + SIGNIFICANT * u)
     row, column = np.unravel_index(int(over_limit.argmax()), error.shape)
     place = f"at {judged['theta_i'].values[row]:g}° in {'the peak' if list(REGIONS)[column] == 'peak' else 'all'}"
-    found = f"{error[row, column]:+.1%} ± {u[row, column]:.1%} of the light {place}".replace("-", "−")
+    size = f"{error[row, column]:+.1%} ± {u[row, column]:.1%}".replace("-", "−")
+    if max(abs(error[row, column]), u[row, column]) < _SMALLEST_SHOWN:
+        size = f"less than {2 * _SMALLEST_SHOWN:.1%}"
+    found = f"{size} of the light {place}"
     if over_limit.max() > 1:
         return "measured", f"Smith's masking would give {found}"
     return (

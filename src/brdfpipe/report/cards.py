@@ -10,7 +10,7 @@ from itertools import pairwise, product
 from brdfpipe.appearance.verdicts import Verdict
 from brdfpipe.report.plots.svg import Figure
 
-WORDS = ("Definition", "Description", "Error", "Not in the file", "Of")
+WORDS = ("Definition", "Description", "Error", "Not in the file", "Of", "Setting")
 """Titles of columns of sentences, which are broken into lines."""
 
 _HALF_PAGE, _GAP = 70, 2

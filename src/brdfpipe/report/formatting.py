@@ -79,8 +79,13 @@ def share_percent(share: float) -> str:
 
 
 def plus_minus_u(u: float) -> str:
-    """``± u`` to two decimals; empty where the uncertainty is not known."""
-    return f"± {uncertainty_value(u)}" if math.isfinite(u) else ""
+    """``± u`` to two decimals, one below them rounded up to 0.01; empty where the uncertainty is not known."""
+    return f"± {uncertainty_value(rounded_up(u))}" if math.isfinite(u) else ""
+
+
+def rounded_up(u: float) -> float:
+    """An uncertainty of gloss units or colours, one below 0.01 rounded up to it."""
+    return max(u, _SMALLEST_UNCERTAINTY) if u > 0 else u
 
 
 def uncertainty_value(u: float) -> str:

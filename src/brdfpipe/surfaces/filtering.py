@@ -16,7 +16,7 @@ from collections.abc import Sequence
 import numpy as np
 import xarray as xr
 
-from brdfpipe.errors import BrdfpipeError
+from brdfpipe.errors import BrdfpipeError, plain
 from brdfpipe.geometry import Array
 from brdfpipe.surfaces.heights import band
 from brdfpipe.vocabulary import add_history, validate
@@ -88,8 +88,8 @@ def _check(surface: xr.Dataset, cutoff: float, name: str) -> None:
     most = min(pitch * count for pitch, count in zip(pitches, surface.height.shape, strict=True))
     if not least <= cutoff <= most:
         raise BrdfpipeError(
-            f"the cutoff {name} of {cutoff:g} um is out of range; accepted: {least:.4g} um ({LEAST_PITCHES} pitches) to "
-            f"{most:.4g} um (the shortest side)"
+            f"the cutoff {name} of {cutoff:g} um is out of range; accepted: {plain(least, 4)} um ({LEAST_PITCHES} pitches) to "
+            f"{plain(most, 4)} um (the shortest side)"
         )
 
 

@@ -19,7 +19,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from brdfpipe import columns
-from brdfpipe.errors import InputError
+from brdfpipe.errors import InputError, plain
 from brdfpipe.surfaces.column_titles import TitledUnits, titled_units
 from brdfpipe.surfaces.heights import GRID_MIN, LINES, UNSTATED, Heights, SurfaceFormat
 from brdfpipe.surfaces.units import UNITS, needed_steps, pitch_steps, scales
@@ -129,7 +129,7 @@ def read_text(
     doubt = _truncation_sign(body.text)
     extent = height.shape[-1] * pitch_x * lateral_scale
     if chosen == "line" and body.length is not None and extent < (1 - _TWO_PERCENT) * body.length:
-        doubt = f"The header states a length of {body.length:.5g} um, the data have {extent:.5g} um"
+        doubt = f"The header states a length of {plain(body.length, 5)} um, the data have {plain(extent, 5)} um"
     if chosen == "xyz" and _stops_within_a_row(table):
         doubt = "The last row of points is incomplete"
     return Heights(

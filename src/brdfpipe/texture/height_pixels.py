@@ -7,7 +7,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from brdfpipe import vocabulary
-from brdfpipe.errors import BrdfpipeError
+from brdfpipe.errors import BrdfpipeError, plain
 from brdfpipe.geometry import Array
 
 MOST_MISSING = 0.3
@@ -38,22 +38,11 @@ def pixel_heights(surface: xr.Dataset, pixel: float) -> tuple[Array, float]:
     -----
     The mean over the area of a pixel, cut pitches included, is the integral of the heights, taken as constant about each of them.
     """
-    vocabulary.validate(surface, "surface")
-    if surface["height"].ndim != 2:
-        raise BrdfpipeError("a line profile has no grain to map; accepted: an areal map as `surface.file`")
-    pitches = float(surface.attrs["pitch_y"]), float(surface.attrs["pitch_x"])
-    least = max(pitches)
-    most = largest_pixel(surface)
-    # One part in a million for pitches that are not written with all digits.
-    if not least * (1 - 1e-6) <= pixel <= most:
-        raise BrdfpipeError(
-            f"a pixel of {pixel:g} um is out of range; accepted: {least:.4g} um (the pitch of the scan) to {most:.4g} um ({LEAST_PIXELS} pixels "
-            "along its shorter side); set the pixel"
-        )
+    check_pixel(vocabulary.validate(surface, "surface"), pixel)
     whole, share = with_all_heights(surface)
     height = whole["height"].values.astype(float)
-    for axis, pitch in enumerate(pitches):
-        height = _area_means(height, axis, pixel / pitch)
+    for axis, name in enumerate(("pitch_y", "pitch_x")):
+        height = _area_means(height, axis, pixel / float(surface.attrs[name]))
     return height - height.mean(), share
 
 
@@ -62,16 +51,37 @@ def with_all_heights(surface: xr.Dataset) -> tuple[xr.Dataset, float]:
 
     Raises BrdfpipeError: more than :data:`MOST_MISSING` of them are missing.
     """
-    missing = np.isnan(surface["height"].values)
-    share = float(missing.mean())
-    if share > MOST_MISSING:
-        raise BrdfpipeError(
-            f"{share:.0%} of the heights are missing; accepted: at most {MOST_MISSING:.0%}. Choose a better part with `surface.region`"
-        )
+    share = _share_missing(surface)
     if not share:
         return surface, 0.0
-    filled = _filled(surface["height"].values.astype(float), missing)
-    return surface.assign(height=surface["height"].copy(data=filled)), share
+    height = surface["height"].values.astype(float)
+    return surface.assign(height=surface["height"].copy(data=_filled(height, np.isnan(height)))), share
+
+
+def check_pixel(surface: xr.Dataset, pixel: float) -> None:
+    """Refuse a pixel [um] on which the heights of a scan cannot be taken.
+
+    Raises BrdfpipeError: a line profile, a pixel out of range, or too many missing heights.
+    """
+    if surface["height"].ndim != 2:
+        raise BrdfpipeError("a line profile has no grain to map; accepted: an areal map as `surface.file`")
+    least, most = max(float(surface.attrs["pitch_y"]), float(surface.attrs["pitch_x"])), largest_pixel(surface)
+    # One part in a million for pitches that are not written with all digits.
+    if not least * (1 - 1e-6) <= pixel <= most:
+        raise BrdfpipeError(
+            f"a pixel of {pixel:g} µm is out of range; accepted: {plain(least, 4)} µm (the pitch of the scan) to {plain(most, 4)} µm (a {LEAST_PIXELS}nd of its "
+            "shorter side); set `texture.pixel`"
+        )
+    _share_missing(surface)
+
+
+def _share_missing(surface: xr.Dataset) -> float:
+    share = float(np.isnan(surface["height"].values).mean())
+    if share > MOST_MISSING:
+        raise BrdfpipeError(
+            f"{share:.0%} of the heights are missing; accepted for a texture: at most {MOST_MISSING:.0%}. Choose a better part with `surface.region`"
+        )
+    return share
 
 
 def largest_pixel(surface: xr.Dataset) -> float:

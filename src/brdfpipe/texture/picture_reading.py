@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 from typing import NamedTuple
+from warnings import catch_warnings
 
 import numpy as np
 
@@ -26,6 +27,8 @@ class Picture(NamedTuple):
 
     values: Array
     """(rows, columns), the lower row first."""
+    stored: str
+    """How the file has them, in words."""
     warnings: tuple[str, ...]
 
 
@@ -44,7 +47,8 @@ def read_picture(path: Path, curve: str | None = None) -> Picture:
     from PIL import Image, UnidentifiedImageError
 
     try:
-        with Image.open(path, formats=("PNG", "TIFF")) as image:
+        # Pillow warns of what it skips in a damaged file, before it refuses it.
+        with catch_warnings(action="ignore", category=UserWarning), Image.open(path, formats=("PNG", "TIFF")) as image:
             # Before it is unpacked: a small file may hold a huge picture.
             if image.width * image.height > MOST_PIXELS or min(image.size) < LEAST_SIDE:
                 raise _refused_size(path, f"{image.width} x {image.height} pixels")
@@ -66,22 +70,34 @@ def read_picture(path: Path, curve: str | None = None) -> Picture:
             key="texture.pictures",
         )
     values, largest, warnings = stored.astype(float), _RANGES[mode], list[str]()
-    if not np.isfinite(values).all() or values.min() < 0 or not values.mean() > 0:
-        raise InputError(path, "values that are no light", accepted="finite ones, not all 0", key="texture.pictures")
+    if no_light := _no_light(values):
+        accepted = "finite values from 0 on, not all 0"
+        raise InputError(path, "values that are no light", found=no_light, accepted=accepted, key="texture.pictures")
     if largest is not None:
-        saturated = float(np.mean(values >= largest))
-        if saturated > _NOTABLE_SATURATED:
+        saturated = int(np.sum(values >= largest))
+        if saturated > _NOTABLE_SATURATED * values.size:
             warnings.append(
-                f"{path.name}: {saturated:.2%} of the values are saturated, so that sparkles are brighter than the picture says; take it with a shorter exposure"
+                f"{path.name}: {saturated} of {values.size} values are saturated, so that sparkles are brighter than the picture says; take it with a shorter exposure"
             )
         values = values / largest
+    encoded = curve == "srgb" or (curve is None and largest == 255)
+    stored_as = f"{_WORDS[mode]}, {'sRGB' if encoded else 'linear'}"
     if curve is None and largest == 255:
         warnings.append(
             f"{path.name}: 8 bits were taken as sRGB, whose curve few cameras keep; take linear pictures of 16 bits, or state `texture.curve`"
         )
-    if curve == "srgb" or (curve is None and largest == 255):
+    if encoded:
         values = np.where(values <= 0.04045, values / 12.92, ((values + 0.055) / 1.055) ** 2.4)
-    return Picture((values @ _LUMINANCE if values.ndim == 3 else values)[::-1], tuple(warnings))
+    return Picture((values @ _LUMINANCE if values.ndim == 3 else values)[::-1], stored_as, tuple(warnings))
+
+
+def _no_light(values: Array) -> str:
+    """What of the values cannot be light; empty if all can."""
+    if unknown := int(np.sum(~np.isfinite(values))):
+        return f"{unknown} of {values.size} not finite"
+    if values.min() < 0:
+        return f"{int(np.sum(values < 0))} of {values.size} below 0, down to {values.min():.3g}"
+    return "" if values.max() > 0 else "0 everywhere"
 
 
 def _refused_size(path: Path, found: str) -> InputError:
@@ -93,3 +109,10 @@ def _refused_size(path: Path, found: str) -> InputError:
 
 _RANGES: dict[str, float | None] = {"L": 255, "RGB": 255, "I;16": 65535, "I;16B": 65535, "F": None}
 """Pillow's names of what is read → the value of white; None for floats."""
+_WORDS = {
+    "L": "grey of 8 bits",
+    "RGB": "colour of 8 bits",
+    "I;16": "grey of 16 bits",
+    "I;16B": "grey of 16 bits",
+    "F": "grey of 32-bit floats",
+}

@@ -11,6 +11,8 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from brdfpipe import vocabulary
+from brdfpipe.documents import nearest
+from brdfpipe.errors import BrdfpipeError
 from brdfpipe.flakes.geometries import directions
 from brdfpipe.flakes.refraction import flake_angle
 from brdfpipe.geometry import Array
@@ -66,8 +68,12 @@ def of_pictures(
     ------
     BrdfpipeError : an unknown geometry, or a value out of range.
     """
-    angles = [_flake_angle(name) for name in pictures]
-    found = [_of_picture(values, pixel, size, method, seed + number) for number, values in enumerate(pictures.values())]
+    angles = [picture_angle(name) for name in pictures]
+    shortest = min(min(np.shape(values)) for values in pictures.values())
+    found = [
+        _of_picture(values, pixel, size, method, seed + number, shortest)
+        for number, values in enumerate(pictures.values())
+    ]
     names = list(found[0])
     dimensions = {
         "relative_light": ("geometry", "y", "x"),
@@ -116,16 +122,25 @@ def nearest_geometry(texture: xr.Dataset, angle: Array) -> NDArray[np.intp]:
     return np.asarray(np.nanargmin(distance, axis=-1), dtype=np.intp)
 
 
-def _flake_angle(geometry: str) -> float:
+def picture_angle(geometry: str) -> float:
+    """Flake angle [degree] of a geometry, below a coat of :data:`COAT_INDEX`; NaN in diffuse light.
+
+    Raises BrdfpipeError: an unknown geometry, or directions below the surface.
+    """
     if geometry == DIFFUSE:
         return np.nan
-    return float(flake_angle(*directions(geometry), COAT_INDEX))
+    try:
+        pair = directions(geometry)
+    except BrdfpipeError:
+        words = f"geometry {geometry[:40]!r} of a picture is unknown, or not above the surface{nearest(geometry, [DIFFUSE])}"
+        raise BrdfpipeError(f"{words}; accepted: {DIFFUSE}, or as 45as15, 45:-30, 45as25az90") from None
+    return float(flake_angle(*pair, COAT_INDEX))
 
 
-def _of_picture(values: Array, pixel: float, size: int, method: str, seed: int) -> dict[str, Any]:
+def _of_picture(values: Array, pixel: float, size: int, method: str, seed: int, shortest: int) -> dict[str, Any]:
     sample, gradient = without_gradient(np.asarray(values, dtype=float))
     tile = positive(1 + synthesise(sample, size, method=method, seed=seed, overlap=NARROW_OVERLAP), sample)
-    frequency, of_sample, of_tile = ring_spectra(sample, tile - 1)
+    frequency, of_sample, of_tile = ring_spectra(sample, tile - 1, shortest=shortest)
     remains, points = likeness(sample, tile), sparkle(sample, pixel)
     return {
         "relative_light": tile.astype(np.float32),

@@ -6,6 +6,7 @@ import numpy as np
 import xarray as xr
 
 from brdfpipe import vocabulary
+from brdfpipe.errors import plain
 from brdfpipe.geometry import Array
 from brdfpipe.texture.grain import grain
 from brdfpipe.texture.height_pixels import central_slopes, unit_normals
@@ -39,7 +40,7 @@ def of_scan(
     -------
     Dataset of kind ``texture``: ``height(y, x)`` [um], the first row at the lowest y; ``sample_psd`` and ``tile_psd`` [um4] over ``texture_frequency``;
     the variables of kind ``facets`` of what the pixels do not resolve (:func:`facets_of`); the figures of the split and of the likeness; and of a viewing
-    distance ``level_difference(level_pixel)`` [1], ``level_pixel`` [um], the chosen one last
+    distance ``level_difference(level_pixel)`` [1], ``level_pixel`` [um], the chosen one first
 
     Raises
     ------
@@ -51,7 +52,7 @@ def of_scan(
         pixel = levels[-1].pixel
         if len(levels) == 1 and levels[0].difference <= NOTICEABLE:
             warnings.append(
-                f"at {distance:g} m an eye sees with pixels of {pixel:.3g} um, the coarsest for a scan of this size, the contrast of the finest: at that "
+                f"at {distance:g} m an eye sees with pixels of {plain(pixel)} µm, the coarsest for a scan of this size, the contrast of the finest: at that "
                 "distance the BRDF of all facets may need no map"
             )
     found = grain(surface, facets, pixel, size=size, method=method, seed=seed, interpolation=interpolation)
@@ -82,7 +83,7 @@ def of_scan(
         },
     )
     if levels:
-        pixels, differences = zip(*levels, strict=True)
+        pixels, differences = zip(*reversed(levels), strict=True)
         texture = texture.assign_coords(level_pixel=list(pixels)).assign_attrs(viewing_distance=distance)
         texture["level_difference"] = "level_pixel", list(differences)
     return vocabulary.add_warning(vocabulary.label(texture, "texture"), *warnings, *found.warnings)

@@ -94,10 +94,16 @@ def likeness(sample: Array, tile: Array) -> Likeness:
     return Likeness(float(np.abs(rings[1][compared] / rings[0][compared] - 1).max()), heights, max(slopes))
 
 
-def ring_spectra(sample: Array, tile: Array, highest: float = 0.5) -> tuple[Array, Array, Array]:
-    """Mean frequency [cycles per pixel] of rings of frequencies up to the highest, and the power of a sample and of a periodic map of the same pixel there."""
+def ring_spectra(
+    sample: Array, tile: Array, highest: float = 0.5, shortest: int | None = None
+) -> tuple[Array, Array, Array]:
+    """Mean frequency [cycles per pixel] of rings of frequencies up to the highest, and the power of a sample and of a periodic map of the same pixel there.
+
+    ``shortest`` is the shorter side in pixels of the smallest of several samples that are to have the same rings.
+    """
     frequency = _frequency(tile.shape)
-    rings = _rings(frequency, _least_frequency(sample, tile), highest)
+    least = _least_frequency(sample, tile)
+    rings = _rings(frequency, least if shortest is None else max(least, 1.5 / shortest), highest)
     # A periodic map has no edges and needs no window.
     of_sample, of_tile = (_means(power, rings) for power in (windowed_power(sample, tile.shape), _power_of(tile)))
     return _means(frequency, rings), of_sample, of_tile

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from brdfpipe import vocabulary
 from brdfpipe.bsdf.registry import representation
-from brdfpipe.errors import BrdfpipeError
+from brdfpipe.errors import BrdfpipeError, VocabularyError
 from brdfpipe.flakes.refraction import flake_angle
 from brdfpipe.geometry import Array, check_angles, unit_vector
 from brdfpipe.texture.picture_texture import COAT_INDEX, nearest_geometry
@@ -21,6 +21,19 @@ from brdfpipe.texture.slope_split import MapSlopes
 
 _BINS_PER_WIDTH, _MOST_BINS, _PLACES = 40.0, 100_000, 12
 """Bins of the slopes of the map per slope rms of the rest, and places between its pixels, for the mean over a tile to 1e-3."""
+
+
+def _paired(*given: Array) -> Iterator[Array]:
+    """Directions and places, of one length."""
+    try:
+        together = np.broadcast_arrays(*given)
+    except ValueError:
+        names = "theta_i", "phi_i", "theta_o", "phi_o", "x", "y"
+        shapes = ", ".join(f"{name} {one.shape}" for name, one in zip(names, given, strict=True) if one.shape)
+        raise VocabularyError(
+            f"directions and places of different shapes: {shapes}; give equal lengths, or shapes that broadcast as in numpy"
+        ) from None
+    yield from (one.ravel() for one in together)
 
 
 class Textured:
@@ -86,9 +99,7 @@ class Textured:
         ]
         # At the horizon both are infinite, of a value that is 0.
         angles[0], angles[2] = (np.minimum(angles[k], 89.999) for k in (0, 2))
-        *angles, x, y = (
-            one.ravel() for one in np.broadcast_arrays(*angles, np.asarray(x, float), np.asarray(y, float))
-        )
+        *angles, x, y = _paired(*angles, np.asarray(x, float), np.asarray(y, float))
         own = self._bsdf["wavelength"].values if "wavelength" in self._bsdf.coords else None
         wavelengths = own if wavelength is None else np.atleast_1d(np.asarray(wavelength, dtype=float))
         # Directions that repeat have one value, and one mean.

@@ -6,6 +6,7 @@ import json
 
 import numpy as np
 import pytest
+import rig_accuracy as accuracy
 import rig_emulated
 import rig_primary
 import samples
@@ -18,6 +19,7 @@ from brdfpipe.bsdf.registry import representation
 from brdfpipe.errors import VocabularyError
 from brdfpipe.facets.analytic_distributions import analytic
 from brdfpipe.rig.reduction.cells import cells_of
+from brdfpipe.specular_directions import cos_view
 
 INCIDENCES = (10.0, 30.0, 60.0)
 WAVELENGTHS = (450.0, 550.0, 650.0)
@@ -441,35 +443,54 @@ def test_a_value_that_is_far_too_low_is_within_its_uncertainty():
     assert u > 2
 
 
+def at_rig_cells(incidence, brdf, u):
+    """Values with noise at the cells of a rig; ``brdf`` and relative ``u`` of ϑ and φ from the mirror direction."""
+    cells = cells_of(rig_emulated.plan().rig)
+    theta, phi = cells.theta_s, cells.phi_s
+    above = cos_view(incidence, theta, phi) > 0.02
+    theta, phi = theta[above], phi[above]
+    true, size = brdf(theta, phi), u(theta, phi)
+    values = true * (1 + size * np.random.default_rng(0).standard_normal(true.size))
+    dims = ("incidence", "wavelength", "cell")
+    primary = xr.Dataset(
+        {"brdf": (dims, values[None, None]), "brdf_u": (dims, (size * true)[None, None])},
+        {"incidence": [incidence], "wavelength": [550.0], "theta_s": ("cell", theta), "phi_s": ("cell", phi)},
+        {"side": "reflection"},
+    )
+    return vocabulary.label(primary, "primary")
+
+
+def rms_of_z(smoothed, brdf, theta, phi):
+    """With the components by what cells do not tell, and without."""
+    error = smoothing.evaluate(smoothed, theta, phi).values[0, 0] - brdf(theta, phi)
+    return [
+        np.sqrt(np.mean((error / smoothing.uncertainty(dataset, theta, phi).values[0, 0]) ** 2))
+        for dataset in (smoothed, smoothed.drop_dims("component"))
+    ]
+
+
 def test_a_lobe_that_the_cells_do_not_resolve_is_uncertain_between_them():
-    def narrow(theta):
+    def narrow(theta, phi):
         return 0.05 + 3 * rig_primary.gaussian(theta, 5.9) + 300 * rig_primary.gaussian(theta, 0.64)
 
-    cells = cells_of(rig_emulated.plan().rig)
-    brdf = narrow(cells.theta_s)
-    noise = 0.004 * brdf * np.random.default_rng(0).standard_normal(brdf.size)
-    primary = vocabulary.label(
-        xr.Dataset(
-            {
-                "brdf": (("incidence", "wavelength", "cell"), (brdf + noise)[None, None]),
-                "brdf_u": (("incidence", "wavelength", "cell"), (0.004 * brdf)[None, None]),
-            },
-            {
-                "incidence": [35.0],
-                "wavelength": [550.0],
-                "theta_s": ("cell", cells.theta_s),
-                "phi_s": ("cell", cells.phi_s),
-            },
-            {"side": "reflection"},
-        ),
-        "primary",
-    )
+    primary = at_rig_cells(35.0, narrow, lambda theta, phi: np.full(theta.size, 0.004))
     theta = np.arange(0.0, 8.0, 0.1)
-    smoothed = smoothing.smooth(primary, about="mirror")
-    error = smoothing.evaluate(smoothed, theta, 90.0).values[0, 0] - narrow(theta)
-    with_it, without = (
-        np.sqrt(np.mean((error / smoothing.uncertainty(dataset, theta, 90.0).values[0, 0]) ** 2))
-        for dataset in (smoothed, smoothed.drop_dims("component"))
-    )
+    with_it, without = rms_of_z(smoothing.smooth(primary, about="mirror"), narrow, theta, np.full(theta.size, 90.0))
+    assert without > 4
+    assert with_it < 0.5 * without
+
+
+def test_light_that_rises_towards_the_horizon_on_the_far_side_is_uncertain_where_few_cells_see_it():
+    truth = accuracy.SAMPLES[accuracy.EDGE]()  # dark at 500 nm
+
+    def facets(theta, phi):
+        theta_o, phi_o = rig_primary.outgoing(30.0, theta, phi)
+        return truth.bsdf.evaluate(30.0, 0.0, np.minimum(theta_o, 89.9), phi_o, 500.0).values[:, 0]
+
+    # The darker the light on the frame, the larger is the noise.
+    primary = at_rig_cells(30.0, facets, lambda theta, phi: 0.01 / cos_view(30.0, theta, phi))
+    theta_o = np.arange(80.0, 88.5, 0.5)
+    theta, phi = theta_o - 30, np.full(theta_o.size, 180.0)
+    with_it, without = rms_of_z(smoothing.smooth(primary), facets, theta, phi)
     assert without > 4
     assert with_it < 0.5 * without

@@ -188,7 +188,7 @@ def test_common_errors_are_not_averaged_away():
     primary["brdf_u_certificate"] = (0.03 * primary["brdf_u"] / 0.01).assign_attrs(correlation="common")
     primary["brdf_u"] = np.hypot(primary["brdf_u_noise"], primary["brdf_u_certificate"])
     smoothed = smoothing.smooth(vocabulary.label(primary, "primary"))
-    assert list(smoothed["component"].values) == ["certificate", "resolution"]
+    assert list(smoothed["component"].values) == ["certificate", "resolution", "grazing"]
     u = smoothing.uncertainty(smoothed, *AT) / smoothing.evaluate(smoothed, *AT)
     assert float(u.median()) == pytest.approx(0.03, rel=0.03)
     alone = smoothing.smooth(rig_primary.measured(flat(0.3), noise=0.01))

@@ -188,15 +188,12 @@ def test_facets_without_a_lay_average_the_halo():
     assert representation(bsdf).isotropic
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("anisotropy", "sigma"),
     [
         (24.0, 0.2),
-        *(
-            pytest.param(anisotropy, sigma, marks=pytest.mark.slow)
-            for anisotropy in (1.5, 4.0, 12.0, 30.0)
-            for sigma in (0.06, 0.2, 0.5)
-        ),
+        *((anisotropy, sigma) for anisotropy in (1.5, 4.0, 12.0, 30.0) for sigma in (0.06, 0.2, 0.5)),
     ],
 )
 def test_the_reflectance_of_a_strong_lay_is_that_of_its_brdf_and_the_given_one(anisotropy, sigma):

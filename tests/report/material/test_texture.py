@@ -34,7 +34,11 @@ def test_there_is_no_section_without_a_texture():
 def test_a_grain_has_its_tile_its_spectrum_and_its_figures(grain):
     rest = samples.beckmann_bsdf(0.1).assign_attrs(mean_difference=0.0123, lay_difference=0.0345)
     section = texture_section({"texture": grain, "unresolved": rest})
-    assert [figure.title for figure in section.figures] == ["Height map, tileable", "Spectrum of the texture"]
+    assert [figure.title for figure in section.figures] == [
+        "Grain of the tile, shaded",
+        "Height map, tileable",
+        "Spectrum of the texture",
+    ]
     rows = {row[0]: row[1] for row in section.tables[0].rows}
     assert rows["Pixel"] == "4.00 µm"
     assert rows["Slopes left to the BRDF"] == f"{100 * float(grain['unresolved_share']):.2g} %"
@@ -48,7 +52,7 @@ def test_a_viewing_distance_has_the_pixels_that_were_tried():
     surface = samples.surface(relief_maps.gaussian(0.1, 256, 1, 8.0))
     texture = of_scan(surface, facets.estimate(surface), pixel=2.0, size=64, distance=0.7)
     table = texture_section({"texture": texture}).tables[1]
-    assert table.title == "Level of detail at 0.700 m"
+    assert table.title == "Level of detail at 0.7 m"
     assert [row[2] for row in table.rows] == ["too coarse"] * (len(table.rows) - 1) + ["chosen"]
     assert len(table.rows) == texture.sizes["level_pixel"]
 

@@ -71,7 +71,7 @@ def killed(plan, folder, kills, seed, undisturbed):
 
 
 def test_a_scan_killed_at_random_moments_and_resumed_is_the_undisturbed_one(plan, undisturbed, tmp_path):
-    killed(plan, tmp_path, 6, 1, undisturbed)
+    killed(plan, tmp_path, 3, 1, undisturbed)
 
 
 @pytest.mark.slow

@@ -43,9 +43,29 @@ def test_the_wavelength_counts_by_the_slope_of_the_spectrum():
 
 
 def test_the_band_counts_by_the_curvature_of_the_spectrum():
-    _, terms = sample(lambda theta, phi, nm: np.full(theta.size, 0.1 + 1e-4 * (nm - 500) ** 2), slit=10.0)
+    _, terms = sample(lambda theta, phi, nm: np.full(theta.size, 0.1 + 1e-4 * (nm - 500) ** 2), slit=20.0)
     # The mean of a parabola a x² over a triangle of the full width s at half maximum is a s²/6.
-    assert terms["band"] == pytest.approx(1e-4 * 10**2 / 6)
+    assert terms["band"] == pytest.approx(1e-4 * 20**2 / 6)
+
+
+@pytest.mark.parametrize("apart", [10.0, 40.0])
+def test_a_bend_anywhere_between_distant_wavelengths_counts_as_often_as_it_lies_within_the_band(apart):
+    slit, change, nodes = 10.0, 0.01, 500 + np.array([-1.0, 0.0, 1.0]) * apart
+    offset = np.linspace(-slit, slit, 4001)
+    triangle = (1 - np.abs(offset) / slit) / slit
+    error, u = [], []
+    for bend in 500 + np.linspace(-apart / 2, apart / 2, 101):
+        # The same change of slope wherever it is: as large as that of the slopes in the middles of the intervals.
+        seen = change / (1 - abs(bend - 500) / apart)
+        spectrum = 0.1 + seen * np.maximum(nodes - bend, 0.0)
+        _, terms = sample(
+            lambda theta, phi, nm, s=spectrum: np.full(theta.size, s[nodes == nm].item()), nodes, slit=slit
+        )
+        u.append(float(terms["band"].max()))
+        bent = np.maximum(500 + offset - bend, 0.0) - max(500 - bend, 0.0)
+        error.append(change * np.sum(triangle * bent) * (offset[1] - offset[0]))
+    assert u == pytest.approx([u[0]] * len(u))
+    assert u[0] == pytest.approx(np.sqrt(np.mean(np.square(error))), rel=0.02)
 
 
 def test_polarised_light_counts_by_the_surface_reflection():

@@ -24,14 +24,15 @@ if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
 DEGREE = 3
-RESOLUTION = "resolution"
-"""Name of the component of the uncertainty by what cells and knots do not resolve."""
+RESOLUTION, TOWARDS_GRAZING = "resolution", "grazing"
+"""Components of the uncertainty by what cells do not tell, see :mod:`brdfpipe.bsdf.measured.resolution`: of a lobe's edge, or a lobe narrower than the
+cells; and of light that leaves near the horizon."""
 GRAZING = (0.05, 0.15)  # scales in cos θ_o of the functions that describe the BSDF towards grazing
-GRAZING_HARMONICS = 1  # of φ
+GRAZING_HARMONICS = 2  # of φ; of the second, the fit has next to nothing
 GRAZING_WIDTH = 30.0  # distance from the mirror direction beyond which these harmonics have their full size [degree]
-_GRAZING_RESISTANCE = (
-    4.0  # of the harmonics of the functions of cos θ_o against a size above 0, over that of the functions themselves
-)
+_GRAZING_RESISTANCE = 1.0, 4.0, 1e4
+"""Resistance of cos kφ, k = 0, 1, 2, times a function of cos θ_o against a size above 0. Less of it follows facets better where cells see them towards
+grazing, and errs more where none do: what the fit would change without it is an uncertainty, see :mod:`brdfpipe.bsdf.measured.resolution`."""
 _LOBE = 12.0  # distance from the mirror direction to which lobes are resolved [degree]
 _PLACES = 8  # places in an interval at which splines are compared
 _MOST_POINTS = 20_000  # largest number of points over the sphere: 1.4° apart
@@ -147,8 +148,11 @@ class PSpline:
             )
         return np.asarray(block_diag(*blocks, np.eye(len(GRAZING) * self.grazing_orders.size)))
 
-    def roughness(self, theta: Array, phi: Array) -> Array:
-        """Rows D (any, terms); the cells at ϑ and φ do not matter to this basis."""
+    def roughness(self, theta: Array, phi: Array, *, resisted: bool = True) -> Array:
+        """Rows D (any, terms); the cells at ϑ and φ do not matter to this basis.
+
+        ``resisted`` is whether harmonics of the functions of cos θ_o are resisted more than these functions themselves.
+        """
         t, weight = panel_rule(self.edges, 4)
         root, scale = np.sqrt(weight)[:, None], 1 / np.tanh(t)[:, None]
         blocks = []
@@ -161,7 +165,10 @@ class PSpline:
             blocks += blocks[1:]
         from scipy.linalg import block_diag
 
-        grazing = np.where(self.grazing_orders == 0, 1.0, _GRAZING_RESISTANCE).repeat(len(GRAZING))
+        resistance = (
+            np.array(_GRAZING_RESISTANCE)[self.grazing_orders] if resisted else np.ones(self.grazing_orders.size)
+        )
+        grazing = resistance.repeat(len(GRAZING))
         return np.asarray(block_diag(*blocks, np.diag(grazing)))
 
     def _harmonics(self, phi: Array) -> Iterator[tuple[int, Array]]:
@@ -238,7 +245,7 @@ class Keldysh:
         weight = np.where(self.harmonic % 2, odd[:, None], even[:, None])
         return (self.rows(theta, phi, cosine) * weight) @ coefficient
 
-    def roughness(self, theta: Array, phi: Array) -> Array:
+    def roughness(self, theta: Array, phi: Array, *, resisted: bool = True) -> Array:
         """√Ω ∇F on the cells, Ω their Voronoi solid angles: ∇ = e_ϑ ∂_ϑ + e_φ (1/sin ϑ) ∂_φ, per radian."""
         value, slope = self._radial(theta)
         wave, wave_slope = self._azimuthal(phi)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from brdfpipe import vocabulary
 from brdfpipe.bsdf.measured import basis as bases
-from brdfpipe.bsdf.measured.basis import RESOLUTION, Basis
+from brdfpipe.bsdf.measured.basis import RESOLUTION, TOWARDS_GRAZING, Basis
 from brdfpipe.bsdf.measured.coordinates import cell_angles, outgoing
 from brdfpipe.bsdf.measured.evaluation import REPRESENTATION, evaluate, lobe_slope, uncertainty
 from brdfpipe.bsdf.measured.node_interpolation import interpolation_abscissa
@@ -391,7 +391,11 @@ def _with_incidence_error(bsdf: xr.Dataset) -> xr.Dataset:
     reflected = bsdf.isel(node=np.flatnonzero(bsdf["transmitted"].values == 0))
     one_way = bsdf.assign_attrs(reciprocity="none", transmission="none")
     if "coefficient_common" in bsdf:
-        own = [name for name in bsdf["component"].values if str(name).startswith((_ENTRANCE_ERROR, RESOLUTION))]
+        own = [
+            name
+            for name in bsdf["component"].values
+            if str(name).startswith((_ENTRANCE_ERROR, RESOLUTION, TOWARDS_GRAZING))
+        ]
         one_way = one_way.sel(component=own) if own else one_way.drop_dims("component")
     node = reflected["incidence"].values
     near = (node[:, None] + np.array([-_NEAR_NODE, 0.0, _NEAR_NODE])).ravel()

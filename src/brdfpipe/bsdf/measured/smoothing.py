@@ -8,7 +8,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from brdfpipe import vocabulary
 from brdfpipe.bsdf.measured import basis as bases
 from brdfpipe.bsdf.measured.agreement import symmetry_warnings
-from brdfpipe.bsdf.measured.basis import RESOLUTION, Basis, Keldysh, PSpline
+from brdfpipe.bsdf.measured.basis import RESOLUTION, TOWARDS_GRAZING, Basis, Keldysh, PSpline
 from brdfpipe.bsdf.measured.coordinates import ABOUT, cell_angles
 from brdfpipe.bsdf.measured.least_squares import Decomposition, StandardForm
 from brdfpipe.bsdf.measured.resolution import unresolved
@@ -79,7 +79,7 @@ class _Fit(NamedTuple):
     residual: Array  # (wavelength, cell) over the uncertainty; missing where unused
     used: NDArray[np.bool_]  # (all wavelengths,) those with values
     zeros: int  # missing values that were stored as zero
-    resolution: Array | None  # (wavelength, terms of the basis) change by what cells and knots do not resolve
+    unresolved: dict[str, Array]  # (wavelength, terms of the basis) change by what cells do not tell, by component
 
     @property
     def chi_squared_dof(self) -> Array:
@@ -143,14 +143,19 @@ def smooth(
         tried = [replace(basis, harmonics=number) for number in _LAY_HARMONICS]
     about, basis = _best_prediction(primary, cells, ABOUT if about is None else (about,), tried, isotropic)
     forms = [_standard_form(primary, basis, about, at, isotropic) for at in range(len(cells))]
-    coarser = [
-        _standard_form(primary, basis, about, at, isotropic, coarse=True) if isinstance(basis, PSpline) else None
+    others = [
+        {
+            RESOLUTION: _standard_form(primary, basis, about, at, isotropic, coarse=True),
+            TOWARDS_GRAZING: _standard_form(primary, basis, about, at, isotropic, resisted=False),
+        }
+        if isinstance(basis, PSpline)
+        else {}
         for at in range(len(cells))
     ]
     preprint_weights = np.sqrt(_ring_weights(primary["theta_s"].values)) if mode == "keldysh-printed" else None
     fits = [
         _fit(form, values, mode, strength, preprint_weights, other)
-        for form, values, other in zip(forms, cells, coarser, strict=True)
+        for form, values, other in zip(forms, cells, others, strict=True)
     ]
     link = "log" if mode == "pspline" else "identity"
     attrs = {name: primary.attrs[name] for name in ("history", "warnings") if name in primary.attrs}
@@ -267,12 +272,20 @@ def _basis(mode: str, primary: xr.Dataset, symmetric: bool, scales: int | None) 
 
 
 def _standard_form(
-    primary: xr.Dataset, basis: Basis, about: str, at: int, isotropic: bool, *, coarse: bool = False
+    primary: xr.Dataset,
+    basis: Basis,
+    about: str,
+    at: int,
+    isotropic: bool,
+    *,
+    coarse: bool = False,
+    resisted: bool = True,
 ) -> StandardForm:
-    """The basis at the cells of an incidence, or that with every second knot; without φ at normal incidence if isotropic."""
+    """The basis at the cells of an incidence, or that with every second knot, or of less resistance; without φ at normal incidence if isotropic."""
     incidence, theta, phi = float(primary["incidence"][at]), primary["theta_s"].values, primary["phi_s"].values
     angles = cell_angles(about, incidence, theta, phi)
-    rows, roughness = basis.rows(*angles, cos_view(incidence, theta, phi)), basis.roughness(*angles)
+    rows = basis.rows(*angles, cos_view(incidence, theta, phi))
+    roughness = basis.roughness(*angles, resisted=resisted)
     printed = isinstance(basis, Keldysh) and basis.printed
     if printed:
         weight = np.sqrt(_ring_weights(theta) / bases.solid_angles(theta, phi))
@@ -332,7 +345,7 @@ def _fit(
     mode: str,
     strength: float | None,
     printed: Array | None,
-    coarser: StandardForm | None,
+    others: Mapping[str, StandardForm],
 ) -> _Fit:
     """Fit one incidence. Exact zeros among bright cells are left out; among dim cells they may be noise, and count."""
     used = np.asarray(np.isfinite(cells.u).any(axis=1))
@@ -362,11 +375,11 @@ def _fit(
         gain = factor @ (np.swapaxes(factor, 1, 2) @ (form.rows.T * (weight**2 * _finite(u))[:, None, :]))
         factor = np.swapaxes(np.asarray(np.linalg.qr(np.swapaxes(gain, 1, 2), mode="r")), 1, 2)
     residual = np.where(np.isfinite(u), (value - solution.fitted) / _finite(u, 1.0), np.nan)
-    resolution = None
-    if coarser is not None:
+    uncertain = {}
+    for name, other in others.items():
         working = solution.fitted / u, _working_response(value, solution.fitted)
-        resolution = unresolved(coarser, solution.problems, *working, solution.strength)
-    return _Fit(solution, factor, shift, residual, used, int(missing.sum()), resolution)
+        uncertain[name] = unresolved(name, other, solution.problems, *working, solution.strength)
+    return _Fit(solution, factor, shift, residual, used, int(missing.sum()), uncertain)
 
 
 def _strength_of_uncertainty(solution: _Solution) -> float:
@@ -464,9 +477,7 @@ def _dataset(primary: xr.Dataset, fits: list[_Fit]) -> xr.Dataset:
     terms, width = fits[0].solution.problems.form.to_basis.shape[0], max(fit.factor.shape[2] for fit in fits)
     coefficient = np.full((*shape, terms), np.nan)
     factor = np.zeros((*shape, terms, width), dtype=np.float32)
-    components = [*_components(primary, "common")]
-    if fits[0].resolution is not None:
-        components.append(RESOLUTION)
+    components = [*_components(primary, "common"), *fits[0].unresolved]
     common = np.full((len(components), *shape, terms), np.nan)
     residual, chi_squared_dof = np.full((*shape, primary.sizes["cell"]), np.nan), np.full(shape, np.nan)
     for at, fit in enumerate(fits):
@@ -477,8 +488,8 @@ def _dataset(primary: xr.Dataset, fits: list[_Fit]) -> xr.Dataset:
         factor[at, fit.used, :, : fit.factor.shape[2]] = to_basis @ (fit.factor * inflation[:, None, None])
         factor[at, ~fit.used] = np.nan
         common[: len(fit.shift), at, fit.used] = fit.shift @ to_basis.T
-        if fit.resolution is not None:
-            common[-1, at, fit.used] = fit.resolution
+        for place, change in enumerate(fit.unresolved.values(), len(fit.shift)):
+            common[place, at, fit.used] = change
         residual[at, fit.used], chi_squared_dof[at, fit.used] = fit.residual, fit.chi_squared_dof
     smoothed = xr.Dataset(
         {

@@ -133,15 +133,15 @@ def checked(found: Fit, largest_error: float, largest_delta_e: float, form: str)
     Raises ExchangeError: the median error, or the colour difference, is above its limit.
     """
     for name, value, limit, words in (
-        ("largest_error", found.median, largest_error, f"{found.median:.0%} of BRDF cos theta_o (median)"),
-        ("largest_delta_e", found.delta_e, largest_delta_e, f"a CIEDE2000 of {found.delta_e:.1f}"),
+        ("largest_error", found.median, largest_error, "{:.0%} of BRDF·cos θ_o (median)"),
+        ("largest_delta_e", found.delta_e, largest_delta_e, "a CIEDE2000 of {:.1f}"),
     ):
         if not limit > 0:
             raise ExchangeError(f"{name} is {limit!r}; accepted: above 0")
         if not value <= limit:
             raise ExchangeError(
-                f"{form} does not describe this material: the best fit is off by {words}, above the limit of {limit:g}; "
-                f"use the format of a table, or raise `{name}`"
+                f"{form} does not describe this material: the best fit is off by {words.format(value)}, above the limit `{name}: {limit:g}`; "
+                "use the format of a table, or raise the limit"
             )
     return found
 

@@ -12,7 +12,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from brdfpipe.appearance.quantities import AppearanceQuantity
-from brdfpipe.report.formatting import length, number, value_with_u
+from brdfpipe.report.formatting import length, number, rounded_up, value_with_u
 from brdfpipe.report.plots.svg import data_uri
 
 _LIGHTS = {
@@ -58,7 +58,11 @@ def _value_and_unit(quantity: AppearanceQuantity, value: float, u: float) -> tup
         return length(value)
     if quantity.percent:
         return value_with_u(100 * value, 100 * u, max(quantity.decimals - 2, 0)), "%"
-    text = number(value, quantity.significant) if quantity.significant else value_with_u(value, u, quantity.decimals)
+    if quantity.significant:
+        text = number(value, quantity.significant)
+    else:
+        # As in the tables of gloss and colours below.
+        text = value_with_u(value, rounded_up(u) if quantity.decimals <= 1 else u, quantity.decimals)
     return text, {"1": "", "cd m-2": "cd/m²"}.get(quantity.unit, quantity.unit)
 
 

@@ -170,7 +170,7 @@ def _description_section(origins: Sequence[Sequence[str]], spectrum: xr.Dataset 
         for key, value, origin in origins
     ]
     if rows:
-        section.tables.append(Table("Keys of the material", ("Key", "Value", "From"), rows))
+        section.tables.append(Table("Keys of the material", ("Key", "Setting", "From"), rows))
     return section
 
 

@@ -7,16 +7,25 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 import xarray as xr
 
+from brdfpipe.errors import plain
 from brdfpipe.report.cards import Section, Table
 from brdfpipe.report.formatting import number
-from brdfpipe.report.plots.raster import false_colour, framed
+from brdfpipe.report.plots.raster import ColourMap, false_colour, framed, viridis
+from brdfpipe.report.plots.raster import light as grey
 from brdfpipe.report.plots.svg import WIDTH, Array, Axis, Figure, Line, chart, frame, image, legend, linear_ticks, png
+from brdfpipe.texture.scan_texture import normals_of
 
 _LIGHTS = {"spot": "Under a spot at 45as15", "diffuse": "In diffuse light"}
 _PICTURE = 400
 """Side of a picture in figure units."""
 _SHOWN = 400
 """Pixels of a tile along a side of its figure, at most."""
+_MILLIMETRES = 2000.0
+"""Side from which on axes are in mm [µm]."""
+_LIGHT = np.array([-0.5, 0.5, np.sqrt(0.5)])
+"""Direction to the light of the shaded tile."""
+_LEAST_SHARE = 1e-4
+"""Smaller differences are rounding, or mean nothing beside the others."""
 _LEAST = 1e-8
 """Of the largest power: less is not drawn."""
 
@@ -33,7 +42,7 @@ def texture_section(datasets: Mapping[str, xr.Dataset]) -> Section:
         return section
     if (texture := datasets.get("texture")) is None:
         return section
-    section.figures += [_tile(texture), _spectra(texture), *_seen(datasets.get("texture_preview"))]
+    section.figures += [*_seen(datasets.get("texture_preview")), _relief(texture), _tile(texture), _spectra(texture)]
     section.tables.append(_numbers(texture, datasets.get("unresolved")))
     if "level_pixel" in texture:
         section.tables.append(_levels(texture))
@@ -59,20 +68,37 @@ def _seen(preview: xr.Dataset | None) -> Iterator[Figure]:
         yield Figure(title, svg, note=note)
 
 
-def _tile(texture: xr.Dataset) -> Figure:
-    height = texture["height"].values[:_SHOWN, :_SHOWN].astype(float)
-    extent = height.shape[0] * float(texture.attrs["pixel"])
-    low, high = np.percentile(height, [0.5, 99.5]).tolist()
+def _picture(
+    texture: xr.Dataset, values: Array, title: str, unit: str, note: str, colours: ColourMap = viridis
+) -> Figure:
+    """A part of a tile (rows, columns), the lower row first; the colours span the central 99 % of its values."""
+    shown = values[:_SHOWN, :_SHOWN].astype(float)
+    extent = shown.shape[0] * float(texture.attrs["pixel"])
+    low, high = np.percentile(shown, [0.5, 99.5]).tolist()
+    high = max(high, low + 1e-3 * max(abs(low), abs(high), 1e-9))
+    scale, length = (1000.0, "mm") if extent >= _MILLIMETRES else (1.0, "µm")
     svg, _ = framed(
-        f"Height map of the texture, {extent:.4g} micrometres along a side",
-        png(*false_colour(height, low, high)),
-        ("x, µm", 0.0, extent),
-        ("y, µm", 0.0, extent),
-        "µm",
+        f"{title}, {plain(extent, 4)} micrometres along a side",
+        png(*false_colour(shown, low, high, colours=colours)),
+        (f"x, {length}", 0.0, extent / scale),
+        (f"y, {length}", 0.0, extent / scale),
+        unit,
         [((value - low) / (high - low), name) for value, name in linear_ticks(low, high, count=5)],
+        colours=colours,
     )
-    whole = "The whole tile" if height.shape == texture["height"].shape else "A part of the tile"
-    return Figure("Height map, tileable", svg, note=f"{whole}; it repeats without a border.")
+    whole = "The whole tile" if shown.shape == values.shape else "A part of the tile"
+    return Figure(title, svg, note=f"{whole}; it repeats without a border. {note}")
+
+
+def _tile(texture: xr.Dataset) -> Figure:
+    note = "The colours span the central 99\u202f%."
+    return _picture(texture, texture["height"].values, "Height map, tileable", "µm", note)
+
+
+def _relief(texture: xr.Dataset) -> Figure:
+    light = normals_of(texture) @ _LIGHT / _LIGHT[2]
+    note = "Shaded as if it were matt and grey, by light from the upper left at 45°: for the shapes of the grain, not for its gloss."
+    return _picture(texture, light, "Grain of the tile, shaded", "light / level", note, grey)
 
 
 def _spectra(texture: xr.Dataset) -> Figure:
@@ -85,19 +111,9 @@ def _spectra(texture: xr.Dataset) -> Figure:
 def _of_picture(texture: xr.Dataset, number: int) -> Iterator[Figure]:
     """The tile of a geometry, and its spectrum."""
     geometry = str(texture["geometry"].values[number])
-    light = texture["relative_light"].values[number, :_SHOWN, :_SHOWN].astype(float)
-    extent = light.shape[0] * float(texture.attrs["pixel"])
-    high = max(float(np.percentile(light, 99.5)), 1.01)
-    svg, _ = framed(
-        f"Light over its mean at {geometry}, {extent:.4g} micrometres along a side",
-        png(*false_colour(light, 0.0, high)),
-        ("x, µm", 0.0, extent),
-        ("y, µm", 0.0, extent),
-        "1",
-        [(value / high, name) for value, name in linear_ticks(0.0, high, count=5)],
-    )
-    whole = "The whole tile" if light.shape == texture["relative_light"].shape[1:] else "A part of the tile"
-    yield Figure(f"Light over its mean, {geometry}", svg, note=f"{whole}; it repeats without a border.")
+    light, title = texture["relative_light"].values[number], f"Light over its mean, {geometry}"
+    note = "Black to white is the central 99\u202f% of the light, which stretches a weak contrast; see the scale."
+    yield _picture(texture, light, title, "light / mean", note, grey)
     powers = texture["sample_contrast_psd"].values[number], texture["tile_contrast_psd"].values[number]
     yield _spectrum(texture["texture_frequency"].values, powers, "picture", "µm²", f"Spectrum of the light, {geometry}")
 
@@ -188,19 +204,25 @@ def _numbers(texture: xr.Dataset, rest: xr.Dataset | None) -> Table:
 
 
 def _levels(texture: xr.Dataset) -> Table:
-    pixels, differences = texture["level_pixel"].values, texture["level_difference"].values
-    last = len(pixels) - 1
+    chosen, tried = float(texture.attrs["pixel"]), texture["level_difference"]
     rows = [
-        (f"{number(float(pixel))} µm", f"{100 * float(difference):.2g} %", "chosen" if k == last else "too coarse")
-        for k, (pixel, difference) in enumerate(zip(pixels, differences, strict=True))
+        (
+            f"{number(float(pixel))} µm",
+            f"{100 * float(difference):.2g} %",
+            "chosen" if pixel == chosen else "too coarse",
+        )
+        for pixel, difference in zip(tried["level_pixel"].values[::-1], tried.values[::-1], strict=True)
     ]
     note = (
         "The coarsest pixel is taken whose pattern under a small light has, for an eye at that distance, the contrast of the finest pixel. Differences below 10 % are "
-        "not noticed; where the contrast is below 20 %, they are of 20 %."
+        "not noticed; where the contrast is below 20 %, they are relative to 20 %."
     )
-    title = f"Level of detail at {number(float(texture.attrs['viewing_distance']))} m"
+    if not float(tried.values[0]):
+        note += " No coarser pixel has it: the finest is that of `texture.pixel`."
+    title = f"Level of detail at {plain(float(texture.attrs['viewing_distance']))} m"
     return Table(title, ("Pixel", "Difference of contrast", "Choice"), rows, note)
 
 
 def _percent(value: xr.DataArray) -> str:
-    return f"{100 * float(value):.2g} %"
+    share = float(value)
+    return f"{100 * share:.2g} %" if share >= _LEAST_SHARE or not share else f"less than {100 * _LEAST_SHARE:g} %"

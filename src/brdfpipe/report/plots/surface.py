@@ -7,6 +7,7 @@ import math
 import numpy as np
 import xarray as xr
 
+from brdfpipe.errors import plain
 from brdfpipe.report.plots.raster import false_colour, framed
 from brdfpipe.report.plots.svg import Array, Axis, Figure, Line, chart, linear_ticks, nice_range, png
 
@@ -22,7 +23,7 @@ def height_map(surface: xr.Dataset) -> Figure:
     reduced = _reduced(values)
     low, high = _robust_range(reduced)
     svg, to_scale = framed(
-        f"Height map, {extent_x:.4g} by {extent_y:.4g} micrometres, heights from {low:.3g} to {high:.3g} micrometres",
+        f"Height map, {plain(extent_x, 4)} by {plain(extent_y, 4)} micrometres, heights from {plain(low)} to {plain(high)} micrometres",
         png(*false_colour(reduced, low, high)),
         ("x, µm", 0.0, extent_x),
         ("y, µm", 0.0, extent_y),

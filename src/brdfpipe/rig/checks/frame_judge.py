@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from brdfpipe import specular_directions
 from brdfpipe.geometry import Array
 from brdfpipe.rig import screen as screens
-from brdfpipe.rig.checks.frame_summary import FrameSummary, block_directions
+from brdfpipe.rig.checks.frame_summary import FrameSummary, block_directions, hot_pixels
 from brdfpipe.rig.description import Rig
 from brdfpipe.rig.plan import ETALON_AFTER, LINE_LAMP, MIRROR, Arrangement, Shot
 from brdfpipe.rig.raw_frame import Counts
@@ -115,7 +115,7 @@ class FrameJudge:
     steady_lamp: bool = False
     """Whether target and monitor readings too are compared closely with brackets, where those of other arrangements are missing."""
     _darks: dict[float, list[Counts]] = field(default_factory=dict)
-    _mean_darks: dict[float, Array] = field(default_factory=dict)
+    _mean_darks: dict[float, tuple[Array, NDArray[np.bool_] | None]] = field(default_factory=dict)
     _digests: dict[bytes, Shot] = field(default_factory=dict)
     _first_offset: tuple[float, float] | None = None
     _readings: dict[tuple[float, int, float], list[_Reading]] = field(default_factory=dict)
@@ -136,7 +136,7 @@ class FrameJudge:
         wavelength_read : wavelength that the monochromator reported [nm]
         last_of_bracket : whether the frames of its arrangement and wavelength are complete with this one
         """
-        summary = FrameSummary.of(counts, self._dark(shot.exposure), self.rig)
+        summary = self._summary(shot, counts)
         self._last = shot, summary
         findings = [*self._stuck(shot, summary)]
         if findings:
@@ -157,7 +157,7 @@ class FrameJudge:
         if self._last is not None and self._last[0] == shot:
             summary = self._last[1]
         else:
-            summary = FrameSummary.of(counts, self._dark(shot.exposure), self.rig)
+            summary = self._summary(shot, counts)
             self._remember_spots(shot, summary)
         self._last = None
         self._digests.setdefault(summary.digest, shot)
@@ -181,10 +181,12 @@ class FrameJudge:
         if all(picture.shot.arrangement != shot.arrangement for picture in pictures):
             pictures.append(_Picture(shot, summary.blocks, summary.blocks_noise, light))
 
-    def _dark(self, exposure: float) -> Array | None:
-        if exposure in self._darks and exposure not in self._mean_darks:
-            self._mean_darks[exposure] = np.mean(self._darks[exposure], axis=0)
-        return self._mean_darks.get(exposure)
+    def _summary(self, shot: Shot, counts: Counts) -> FrameSummary:
+        if shot.exposure in self._darks and shot.exposure not in self._mean_darks:
+            mean = np.mean(self._darks[shot.exposure], axis=0)
+            self._mean_darks[shot.exposure] = mean, hot_pixels(mean, self.rig)
+        dark, hot = self._mean_darks.get(shot.exposure, (None, None))
+        return FrameSummary.of(counts, dark, self.rig, hot)
 
     # --- camera
 

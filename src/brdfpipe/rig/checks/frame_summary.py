@@ -72,10 +72,11 @@ class FrameSummary:
     """(y, x) pixels out of the linear range."""
 
     @classmethod
-    def of(cls, counts: Counts, dark: Array | None, rig: Rig) -> FrameSummary:
+    def of(cls, counts: Counts, dark: Array | None, rig: Rig, hot: NDArray[np.bool_] | None = None) -> FrameSummary:
         """Summarise a frame (y, x).
 
         ``dark`` is the mean of the dark frames of its exposure time (y, x) [counts]; without one, the median of the frame is subtracted.
+        ``hot`` are its :func:`hot_pixels`, found if they are not given.
         """
         camera = rig.camera
         level = np.median(counts) if dark is None else dark
@@ -85,7 +86,7 @@ class FrameSummary:
         # Without a dark frame hot pixels cannot be distinguished from hits.
         hits = 0
         if dark is not None:
-            hits = cosmic_hits.replace_peaks(light, variance, hot_pixels(dark, rig))
+            hits = cosmic_hits.replace_peaks(light, variance, hot_pixels(dark, rig) if hot is None else hot)
         blocks, noise = _blocks(light, beyond, variance, rig)
         return cls(
             digest=hashlib.blake2b(np.ascontiguousarray(counts).tobytes(), digest_size=16).digest(),
@@ -182,9 +183,10 @@ def _reference(light: NDArray[np.float32], beyond: NDArray[np.bool_], variance: 
     offset: tuple[float, float] | None = None
     if not is_saturated:
         picture = light.astype(float)
+        noise_of_pixels = np.maximum(picture, 0) + variance
         brightest = _brightest_place(window, radius, (left, top), rig)
         for start in ((column, row), brightest):
-            found = registration.centroids(picture, np.maximum(picture, 0) + variance, [start[0]], [start[1]], radius)
+            found = registration.centroids(picture, noise_of_pixels, [start[0]], [start[1]], radius)
             at = float(found.column[0]), float(found.row[0])
             light_there, noise_there, _ = measured(at)
             if np.isfinite(found.u[0]) and light_there > _NOT_SHOWN * noise_there:
@@ -213,8 +215,16 @@ def _brightest_place(
     disc = np.hypot(x, y) <= radius
     views = np.lib.stride_tricks.sliding_window_view(window, disc.shape)
     total = np.tensordot(views, disc, axes=((2, 3), (0, 1)))
-    rows, columns = np.indices(total.shape)
-    columns, rows = columns + reach + corner[0], rows + reach + corner[1]
+    unlikely = _unlikely_places(rig, total.shape, (corner[0] + reach, corner[1] + reach), radius)
+    best = np.unravel_index(int(np.where(unlikely, -np.inf, total).argmax()), total.shape)
+    return float(best[1] + reach + corner[0]), float(best[0] + reach + corner[1])
+
+
+@cache
+def _unlikely_places(rig: Rig, shape: tuple[int, int], corner: tuple[int, int], radius: float) -> NDArray[np.bool_]:
+    """Pixels (y, x), from a corner (column, row) on, that are far from the described reference spot or within reach of a fibre."""
+    rows, columns = np.indices(shape)
+    columns, rows = columns + corner[0], rows + corner[1]
     described = screens.to_pixel(rig.screen, *rig.screen.reference_centre)
     unlikely = np.hypot(columns - described[0], rows - described[1]) > WIDEST_SEARCH
     clear = radius + rig.screen.fibre_radius * rig.screen.scale + 1
@@ -222,5 +232,4 @@ def _brightest_place(
         column, row = (float(at) for at in screens.to_pixel(rig.screen, fibre.x, fibre.y))
         if np.hypot(column - described[0], row - described[1]) < WIDEST_SEARCH + clear:
             unlikely |= np.hypot(columns - column, rows - row) < clear
-    best = np.unravel_index(int(np.where(unlikely, -np.inf, total).argmax()), total.shape)
-    return float(np.asarray(columns)[best]), float(np.asarray(rows)[best])
+    return np.asarray(unlikely)

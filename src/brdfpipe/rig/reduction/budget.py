@@ -57,7 +57,7 @@ TERMS = (
     Term("geometry", "position of the picture, curvature over a cell", "independent", "B", "normal", _KNOWN, "slope of the picture", "registration"),
     Term("directions", "directions of the fibres", "independent", "B", "normal", _KNOWN, "slope of BRDF and cosines over direction", "`u` of fibres.csv"),
     Term("wavelength", "error of the monochromator", "common", "B", "rectangular", _KNOWN, "slope of BRDF over wavelength", "`monochromator.wavelength_u`, or the offset of lines"),
-    Term("band", "width of the band, not corrected", "common", "B", "rectangular", _KNOWN, "curvature of BRDF over wavelength", "`slit`"),
+    Term("band", "width of the band, not corrected", "common", "B", "rectangular", _KNOWN, "change of the slope of BRDF over wavelength", "`slit`"),
     Term("polarisation", "polarisation of the beam", "common", "B", "rectangular", _KNOWN, "M01/M00 of the surface reflection", "`monochromator.polarisation`"),
     Term("linearity", "linearity of the camera", "common", "B", "rectangular", _KNOWN, "1", "`camera.linearity_u`"),
     Term("path", "light of the entrance", "common", "A", "normal", _KNOWN, "1", "etalon through each entrance"),
@@ -91,22 +91,34 @@ def terms_of_brdf(
     index : kind ``index``, of the material; without it :data:`INDEX`
     """
     attrs, wavelength = reduced.attrs, reduced["wavelength"].values
-    slope = bend = np.zeros(brdf.shape)
+    slope = np.zeros(brdf.shape)
     if wavelength.size > 1:
         slope = np.abs(np.gradient(brdf, wavelength, axis=1))
-    if wavelength.size > 2:
-        steps = np.diff(brdf, axis=1) / np.diff(wavelength)[:, None]
-        inner = 2 * np.abs(np.diff(steps, axis=1)) / (wavelength[2:] - wavelength[:-2])[:, None]
-        bend = np.concatenate([inner[:, :1], inner, inner[:, -1:]], axis=1)  # at the ends as next to them
-    # A triangular band of full width s at half maximum has the variance s²/6.
     terms = {
         "directions": np.nan_to_num(np.abs(brdf) * _direction_error(reduced, brdf, entrances)),
         "wavelength": np.nan_to_num(slope) * float(attrs.get("wavelength_u", 0.0)),
-        "band": np.nan_to_num(bend) * float(attrs.get("slit", 0.0)) ** 2 / 12,
+        "band": np.nan_to_num(_band_error(brdf, wavelength, float(attrs.get("slit", 0.0)))),
         "polarisation": float(attrs.get("polarisation", 0.0)) * _polarised(reduced, brdf, index),
         "linearity": np.nan_to_num(np.abs(brdf)) * float(attrs.get("linearity_u", 0.0)),
     }
     return {name: np.where(np.isfinite(brdf), term, np.nan) for name, term in terms.items()}
+
+
+def _band_error(brdf: Array, wavelength: Array, slit: float) -> Array:
+    """Error (incidence, wavelength, cell) by the width of the band, a triangle of full width s at half maximum.
+
+    Known is the change D of the slope between the middles of the two intervals beside a wavelength, h apart; not where it changes. Evenly along h, it is a
+    curvature D/h: an error of s²/12 D/h. At one place, a distance d from the wavelength, the error is s/6 (1 − |d|/s)³ D, and 0 from d = s on. The root
+    mean square over all places within h is the larger one from h ≈ s on: an edge between distant wavelengths may lie within the band of one. The larger one counts.
+    """
+    if wavelength.size < 3 or slit == 0:
+        return np.zeros(brdf.shape)
+    change = np.abs(np.diff(np.diff(brdf, axis=1) / np.diff(wavelength)[:, None], axis=1))
+    apart = (wavelength[2:] - wavelength[:-2]) / 2
+    within = np.minimum(apart / (2 * slit), 1.0)
+    somewhere = slit / 6 * np.sqrt(2 * slit / (7 * apart) * (1 - (1 - within) ** 7))
+    error = change * np.maximum(slit**2 / (12 * apart), somewhere)[:, None]
+    return np.concatenate([error[:, :1], error, error[:, -1:]], axis=1)  # at the ends as next to them
 
 
 def _direction_error(reduced: xr.Dataset, brdf: Array, entrances: Array) -> Array:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from brdfpipe.geometry import Array
 
@@ -24,7 +23,6 @@ SMALLEST_SPOT = 1.5
 _SIGMA = 6.0  # standard deviations of noise by which a hit stands out
 _MODEL_U = 0.03  # relative standard uncertainty with which the other frames of a bracket predict a pixel: flicker, filters, linearity
 _LONGEST_TRACK = 3  # pixels of a track that are removed one after the other
-_NEIGHBOURS = np.array([[True, True, True], [True, False, True], [True, True, True]])
 
 Picture = NDArray[np.float32]
 Mask = NDArray[np.bool_]
@@ -35,9 +33,17 @@ def isolated_peaks(light: Picture, floor: float) -> Mask:
 
     ``floor`` is the variance of a pixel without light [e⁻²].
     """
-    brightest = ndimage.maximum_filter(light, footprint=_NEIGHBOURS, mode="constant", cval=-np.inf)
-    expected = np.maximum(brightest, 0.0)
+    expected = np.maximum(_brightest_neighbours(light), 0.0)
     return np.asarray(light > SHARPEST * expected + _SIGMA * np.sqrt(expected + np.float32(floor)))
+
+
+def _brightest_neighbours(light: Picture) -> Picture:
+    """Brightest of the eight neighbours of each pixel."""
+    padded = np.pad(light, 1, constant_values=-np.inf)
+    of_row = np.maximum(padded[:, :-2], padded[:, 2:])
+    with_itself = np.maximum(of_row, padded[:, 1:-1])
+    brightest = np.maximum(with_itself[:-2], with_itself[2:])
+    return np.maximum(brightest, of_row[1:-1], out=brightest)
 
 
 def replace_peaks(light: Picture, floor: float, known: Mask | None = None) -> int:

@@ -88,7 +88,7 @@ def centroids(picture: Array, variance: Array, column: ArrayLike, row: ArrayLike
         ring = np.where(~inside & (distance <= radius + SEARCH), picture[rows, columns], np.nan)
         clear &= np.isfinite(ring).any(axis=(1, 2))
         ring[~clear] = 0.0
-        light = np.where(inside, picture[rows, columns] - np.nanmedian(ring, axis=(1, 2))[:, None, None], 0.0)
+        light = np.where(inside, picture[rows, columns] - _medians(ring)[:, None, None], 0.0)
         noise = np.where(inside, variance[rows, columns], 0.0)
         total = light.sum(axis=(1, 2))
         clear &= total > _SPOT_SNR * np.sqrt(noise.sum(axis=(1, 2)))
@@ -99,6 +99,13 @@ def centroids(picture: Array, variance: Array, column: ArrayLike, row: ArrayLike
         u = np.sqrt((noise * distance**2 / 2).sum(axis=(1, 2))) / total
         clear &= np.hypot(x - start[0], y - start[1]) <= SEARCH
     return Centroids(np.where(clear, x, start[0]), np.where(clear, y, start[1]), np.where(clear, u, np.inf), spread)
+
+
+def _medians(values: Array) -> Array:
+    """Medians (any,) of the finite ones of values (any, y, x): as NumPy's, without masked arrays, which are slow for few values."""
+    rising = np.sort(values.reshape(len(values), -1), axis=1)
+    count, index = np.isfinite(rising).sum(axis=1), np.arange(len(values))
+    return np.asarray((rising[index, (count - 1) // 2] + rising[index, count // 2]) / 2)
 
 
 def register(rig: Rig, picture: Array, variance: Array, screen: Screen | None = None) -> Registration:
