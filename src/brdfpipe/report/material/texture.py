@@ -13,7 +13,7 @@ from brdfpipe.report.formatting import number
 from brdfpipe.report.plots.raster import ColourMap, false_colour, framed, viridis
 from brdfpipe.report.plots.raster import light as grey
 from brdfpipe.report.plots.svg import Array, Axis, Figure, Line, chart, legend, linear_ticks, png
-from brdfpipe.texture.scan_texture import normals_of
+from brdfpipe.texture.height_pixels import central_slopes, unit_normals
 
 _SHOWN = 400
 """Pixels of a tile along a side of its figure, at most."""
@@ -73,7 +73,8 @@ def _tile(texture: xr.Dataset) -> Figure:
 
 
 def _relief(texture: xr.Dataset) -> Figure:
-    light = normals_of(texture) @ _LIGHT / _LIGHT[2]
+    slopes = central_slopes(texture["height"].values.astype(float), float(texture.attrs["pixel"]))
+    light = unit_normals(*slopes) @ _LIGHT / _LIGHT[2]
     note = "Shaded as if it were matt and grey, by light from the upper left at 45°: for the shapes of the grain, not for its gloss."
     return _picture(texture, light, "Grain of the tile, shaded", "light / level", note, grey)
 
