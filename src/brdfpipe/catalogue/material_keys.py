@@ -957,7 +957,13 @@ class PictureTexture(Keys):
 
 
 Texture = Annotated[
-    ScanTexture | PictureTexture, Choice(lambda given: int(isinstance(given, Mapping) and "pictures" in given))
+    ScanTexture | PictureTexture,
+    # Keys that a texture of pictures is mistaken to have are refused with those that it has.
+    Choice(
+        lambda given: int(
+            isinstance(given, Mapping) and not given.keys().isdisjoint({"pictures", "picture", "file", "curve"})
+        )
+    ),
 ]
 
 

@@ -11,7 +11,6 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from brdfpipe import vocabulary
-from brdfpipe.documents import nearest
 from brdfpipe.errors import BrdfpipeError
 from brdfpipe.flakes.geometries import directions
 from brdfpipe.flakes.refraction import flake_angle
@@ -132,7 +131,7 @@ def picture_angle(geometry: str) -> float:
     try:
         pair = directions(geometry)
     except BrdfpipeError:
-        words = f"geometry {geometry[:40]!r} of a picture is unknown, or not above the surface{nearest(geometry, [DIFFUSE])}"
+        words = f"geometry {geometry[:40]!r} of a picture is unknown, or not above the surface"
         raise BrdfpipeError(f"{words}; accepted: {DIFFUSE}, or as 45as15, 45:-30, 45as25az90") from None
     return float(flake_angle(*pair, COAT_INDEX))
 

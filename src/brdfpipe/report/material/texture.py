@@ -13,7 +13,7 @@ from brdfpipe.report.formatting import number
 from brdfpipe.report.plots.raster import ColourMap, false_colour, framed, viridis
 from brdfpipe.report.plots.raster import light as grey
 from brdfpipe.report.plots.svg import WIDTH, Array, Axis, Figure, Line, chart, frame, image, legend, linear_ticks, png
-from brdfpipe.texture.scan_texture import normals_of
+from brdfpipe.texture.height_pixels import central_slopes, unit_normals
 
 _LIGHTS = {"spot": "Under a spot at 45as15", "diffuse": "In diffuse light"}
 _PICTURE = 400
@@ -34,10 +34,10 @@ def texture_section(datasets: Mapping[str, xr.Dataset]) -> Section:
     """The tile and its spectrum; empty where the scene asks for no texture."""
     section = Section("Visible structure")
     if (pictured := datasets.get("picture_texture")) is not None:
+        section.figures += _seen(datasets.get("texture_preview"))
         section.figures += [
             figure for number in range(pictured.sizes["geometry"]) for figure in _of_picture(pictured, number)
         ]
-        section.figures += _seen(datasets.get("texture_preview"))
         section.tables.append(_sparkles(pictured))
         return section
     if (texture := datasets.get("texture")) is None:
@@ -96,7 +96,8 @@ def _tile(texture: xr.Dataset) -> Figure:
 
 
 def _relief(texture: xr.Dataset) -> Figure:
-    light = normals_of(texture) @ _LIGHT / _LIGHT[2]
+    slopes = central_slopes(texture["height"].values.astype(float), float(texture.attrs["pixel"]))
+    light = unit_normals(*slopes) @ _LIGHT / _LIGHT[2]
     note = "Shaded as if it were matt and grey, by light from the upper left at 45°: for the shapes of the grain, not for its gloss."
     return _picture(texture, light, "Grain of the tile, shaded", "light / level", note, grey)
 
