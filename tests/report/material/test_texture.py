@@ -69,7 +69,7 @@ def test_the_structure_is_shown_from_a_distance_in_each_light(grain, paint):
     preview = structure_previews(lambert_gauss.lambertian(samples.spectrum(0.5)), paint, distance=0.7)
     for datasets in ({"picture_texture": paint}, {"texture": grain}):
         titles = [one.title for one in texture_section({**datasets, "texture_preview": preview}).figures]
-        assert titles[:2] == ["Under a spot at 45as15, from 0.700 m", "In diffuse light, from 0.700 m"]
+        assert titles[:2] == ["Under a spot at 45as15, from 0.7 m", "In diffuse light, from 0.7 m"]
     note = texture_section({"texture": grain, "texture_preview": preview}).figures[1].note
     assert f"Contrast: {100 * preview.attrs['contrast'][1]:.2g} % rms" in note
     assert "26.1 mm" in note

@@ -56,9 +56,9 @@ def _seen(preview: xr.Dataset | None) -> Iterator[Figure]:
     pictures = [(str(preview.attrs["light"]), preview["picture"].values)]
     if "picture_in" in preview:
         pictures += zip(preview["light_of"].values.tolist(), preview["picture_in"].values, strict=True)
-    width, distance = float(preview.attrs["picture_width"]), number(float(preview.attrs["viewing_distance"]))
+    width, distance = float(preview.attrs["picture_width"]), float(preview.attrs["viewing_distance"])
     for (light, pixels), contrast in zip(pictures, np.atleast_1d(preview.attrs["contrast"]), strict=True):
-        title = f"{_LIGHTS[light]}, from {distance} m"
+        title = f"{_LIGHTS[light]}, from {distance:g} m"
         shown = image(png(pixels), (WIDTH - _PICTURE) / 2, 0, _PICTURE, _PICTURE, smooth=True)
         svg = frame(f"A panel {title[0].lower()}{title[1:]}, {width:.3g} mm along a side", _PICTURE, [shown])
         note = (
