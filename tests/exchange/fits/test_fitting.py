@@ -86,7 +86,7 @@ def test_a_fit_beyond_a_limit_is_refused_with_its_error_and_the_key() -> None:
     assert checked(found, 0.25, 5.0, "OpenPBR") is found
     with pytest.raises(ExchangeError, match=r"OpenPBR.*BRDF·cos θ_o.*`largest_error: 1e-06`"):
         checked(found, 1e-6, 5.0, "OpenPBR")
-    with pytest.raises(ExchangeError, match=r"CIEDE2000.*`largest_delta_e`"):
+    with pytest.raises(ExchangeError, match=r"CIEDE2000.*`largest_delta_e: 1e-06`"):
         checked(found, 0.25, 1e-6, "OpenPBR")
     with pytest.raises(ExchangeError, match="largest_error is 0"):
         checked(found, 0, 5.0, "OpenPBR")
