@@ -14,8 +14,9 @@ from brdfpipe.bsdf.measured.least_squares import Decomposition, StandardForm
 from brdfpipe.geometry import Array
 
 SHARES: Mapping[str, float] = {RESOLUTION: 0.25, TOWARDS_GRAZING: float(1 / np.sqrt(3))}
-"""Error of the fit over its change: with every second knot, and with harmonics of the functions of cos θ_o that are resisted no more than these functions. At the edge of a lobe 1.5° wide it is 0.3 to 0.6 of that with every second knot, at wider ones less than 0.1. Of the
-two resistances neither is more likely: the truth may be anywhere from one fit to the other, a rectangular distribution from 0 to 1."""
+"""Error of the fit over its change: with every second knot, and with harmonics of the functions of cos θ_o that are resisted no more than these functions.
+At the edge of a lobe 1.5° wide it is 0.3 to 0.6 of that with every second knot, at wider ones less than 0.1. Of the two resistances neither is more
+likely: the truth may be anywhere from one fit to the other, a rectangular distribution from 0 to 1."""
 
 
 def unresolved(
