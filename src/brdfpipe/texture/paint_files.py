@@ -21,6 +21,7 @@ from brdfpipe.geometry import Array
 from brdfpipe.spectra.colorimetry import encoded_srgb, linear_srgb
 from brdfpipe.texture.file_names import PAINT_FILES, TEXTURED_FORMATS
 from brdfpipe.texture.renderer_files import (
+    GLTF_FILTERS,
     MATERIALX_FILTERS,
     TABLE_OPTIONS,
     add_bitmap,
@@ -122,7 +123,8 @@ def _write_gltf(texture: xr.Dataset, picture: Picture, bsdf: xr.Dataset, path: P
     light = shown * largest
     document["images"] = [{"uri": file.name, "mimeType": "image/png"}]
     # Levels of detail are right here: means of the light, not of normals.
-    document["samplers"] = [{"magFilter": 9729, "minFilter": 9987, "wrapS": 10497, "wrapT": 10497}]
+    between = GLTF_FILTERS[texture.attrs["interpolation"]]
+    document["samplers"] = [{"magFilter": between, "minFilter": 9987, "wrapS": 10497, "wrapT": 10497}]
     document["textures"] = [{"source": 0, "sampler": 0}]
     gain = largest * _base_gain(light, shadow)
     values["baseColorFactor"] = [*np.minimum(base * gain, 1.0).tolist(), 1.0]

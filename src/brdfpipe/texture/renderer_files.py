@@ -18,7 +18,7 @@ from brdfpipe.exchange import gltf, openpbr, rgl
 from brdfpipe.exchange.registry import FORMATS
 from brdfpipe.texture.file_names import RENDERER_FILES, TEXTURED_FORMATS
 
-_GLTF_FILTERS = {"bilinear": 9729, "nearest": 9728}
+GLTF_FILTERS = {"bilinear": 9729, "nearest": 9728}
 """LINEAR and NEAREST (Khronos, glTF 2.0 specification, 5.26)."""
 MATERIALX_FILTERS = {"bilinear": "linear", "nearest": "closest"}
 
@@ -100,7 +100,7 @@ def _write_gltf(texture: xr.Dataset, rest: xr.Dataset, path: Path, name: str) ->
     document = json.loads(path.read_text(encoding="utf-8"))
     document["images"] = [{"uri": f"{name}.normal.png", "mimeType": "image/png"}]
     # Between pixels as the split assumes; repeated along both axes. No levels of detail: their mean normals lose the slopes of the map, which the BRDF of the rest lacks.
-    between = _GLTF_FILTERS[texture.attrs["interpolation"]]
+    between = GLTF_FILTERS[texture.attrs["interpolation"]]
     document["samplers"] = [{"magFilter": between, "minFilter": between, "wrapS": 10497, "wrapT": 10497}]
     document["textures"] = [{"source": 0, "sampler": 0}]
     document["materials"][0]["normalTexture"] = {"index": 0}
