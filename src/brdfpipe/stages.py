@@ -41,7 +41,7 @@ from brdfpipe.scenes import geometries
 from brdfpipe.scenes.domain import Domain
 from brdfpipe.scenes.results import PARTS, RESULTS
 from brdfpipe.store import canonical_json
-from brdfpipe.texture.file_names import MAP_FILES, PICTURE_FILES, RENDERER_FILES, TEXTURED_FORMATS
+from brdfpipe.texture.file_names import MAP_FILES, PAINT_FILES, PICTURE_FILES, RENDERER_FILES, TEXTURED_FORMATS
 
 if TYPE_CHECKING:
     from brdfpipe.catalogue.calibration import Calibration
@@ -513,9 +513,10 @@ def _texture(subject: Subject, wildcards: Wildcards) -> dict[str, Any]:
 
 
 def _picture_texture(subject: Subject, wildcards: Wildcards) -> dict[str, Any]:
-    """The keys of the texture, with the geometries of its files."""
+    """The keys of the texture, with the geometries of its files and the formats of the materials that have it."""
     given = {key: value for key, value in subject.section("texture").items() if key != "pictures"}
-    return given | {"geometries": [picture["geometry"] for picture in subject.section("texture")["pictures"]]}
+    geometries = [picture["geometry"] for picture in subject.section("texture")["pictures"]]
+    return given | {"geometries": geometries, "formats": _textured_formats(subject)}
 
 
 def _texture_preview(subject: Subject, wildcards: Wildcards) -> dict[str, Any]:
@@ -1037,12 +1038,12 @@ _STAGES = (
     ),
     Stage(
         "picture_texture",
-        "the texture of an effect paint from pictures, with its sparkle and graininess",
+        "the texture of an effect paint from pictures, with its sparkle and graininess, and materials of renderers with it",
         when=Condition("`texture.pictures`", lambda subject: "pictures" in subject.owner.content.get("texture", {}))
         & _asked("texture"),
-        keys=StageKeys(("texture",), (), _picture_texture),
+        keys=StageKeys(("texture", "exports"), (), _picture_texture),
         kind="texture",
-        beside=tuple(f"{{scene}}{{material}}/exports/{{material}}{end}" for end in PICTURE_FILES),
+        beside=tuple(f"{{scene}}{{material}}/exports/{{material}}{end}" for end in (*PICTURE_FILES, *PAINT_FILES)),
         memory=2000,
         minutes=1,
     ),

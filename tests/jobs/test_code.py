@@ -353,6 +353,7 @@ def test_the_digest_of_a_stage_covers_every_module_that_its_run_loads(tmp_path: 
     run("unresolved", {**same("texture", "index", "spectrum"), "bsdf": "plain"}, same("unresolved"), {"formats": []})
     paint = example.parent / "sparkling-texture"
     pictures = {"pictures": [str(paint / f"{name}.png") for name in ("45as15", "45as45", "diffuse")]}
+    pictures |= {"bsdf": "plain"}
     run("picture_texture", pictures, {"texture": "picture_texture"}, of="sparkling-texture")
     seen = {**same("texture", "unresolved"), "bsdf": "plain"}
     run("texture_preview", seen, {"preview": "texture_preview"}, {"distance": 0.05})

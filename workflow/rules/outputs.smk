@@ -97,6 +97,7 @@ use rule stage_template as texture with:
 
 use rule stage_template as picture_texture with:
     input:
+        **results_of("bsdf"),
         pictures=pipeline.raw_files("texture"),
     output:
         texture="{scene}{material}/picture_texture.nc",

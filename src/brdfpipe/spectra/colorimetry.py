@@ -181,6 +181,11 @@ def encoded_srgb(linear: ArrayLike) -> Array:
     return np.asarray(_colour().cctf_encoding(np.clip(np.asarray(linear, dtype=float), 0.0, 1.0), function="sRGB"))
 
 
+def linear_srgb(encoded: ArrayLike) -> Array:
+    """Linear sRGB of non-linear values from 0 to 1 (IEC 61966-2-1)."""
+    return np.asarray(_colour().cctf_decoding(np.asarray(encoded, dtype=float), function="sRGB"))
+
+
 def srgb_from_xyz(white: ArrayLike) -> Array:
     """Matrix (3, 3) from tristimulus values of the 2-degree observer to linear sRGB, for an eye adapted to ``white``.
 

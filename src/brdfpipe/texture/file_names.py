@@ -14,3 +14,6 @@ TEXTURED_FORMATS = {"gltf": ".textured.gltf", "openpbr": ".textured.mtlx", "rgl"
 
 RENDERER_FILES = (*TEXTURED_FORMATS.values(), ".unresolved.rgb.bsdf", ".unresolved.rgb.bsdf.json")
 """Those files, and the table that the scene of Mitsuba reads."""
+
+PAINT_FILES = (*TEXTURED_FORMATS.values(), ".textured.png", ".textured.rgb.bsdf", ".textured.rgb.bsdf.json")
+"""Materials of renderers with the texture of a paint (:mod:`brdfpipe.texture.paint_files`), and the picture and the table that these read."""

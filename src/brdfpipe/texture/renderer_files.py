@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree as xml
 
 import xarray as xr
@@ -17,9 +18,15 @@ from brdfpipe.exchange import gltf, openpbr, rgl
 from brdfpipe.exchange.registry import FORMATS
 from brdfpipe.texture.file_names import RENDERER_FILES, TEXTURED_FORMATS
 
-_GLTF_FILTERS = {"bilinear": 9729, "nearest": 9728}
+GLTF_FILTERS = {"bilinear": 9729, "nearest": 9728}
 """LINEAR and NEAREST (Khronos, glTF 2.0 specification, 5.26)."""
-_MATERIALX_FILTERS = {"bilinear": "linear", "nearest": "closest"}
+MATERIALX_FILTERS = {"bilinear": "linear", "nearest": "closest"}
+
+TABLE_OPTIONS = {"tolerance": 0.01, "albedo_tolerance": 0.001, "largest": 400_000}
+"""Of the table that a scene of Mitsuba reads (:data:`brdfpipe.exchange.registry.GRID_OPTIONS`)."""
+
+TILES = 4
+"""Along either side of the panel of a scene."""
 
 
 def with_renderer_files(
@@ -47,14 +54,32 @@ def write_renderer_files(
     -------
     Names of the files, and a warning for each format that cannot hold the material, of which an earlier file is deleted.
     """
-    folder.mkdir(parents=True, exist_ok=True)
-    warnings = []
     writers: dict[str, Callable[[Path], None]] = {
         "gltf": lambda path: _write_gltf(texture, rest, path, name),
         "openpbr": lambda path: _write_materialx(texture, rest, path, name),
         "rgl": lambda path: _write_mitsuba(texture, rest, path, name),
     }
-    for end in RENDERER_FILES:
+    return write_each(writers, RENDERER_FILES, folder, name, formats)
+
+
+def write_each(
+    writers: Mapping[str, Callable[[Path], None]], ends: Sequence[str], folder: Path, name: str, formats: Sequence[str]
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Write a material of each format.
+
+    Parameters
+    ----------
+    writers : format → what writes its file; formats are those of :data:`brdfpipe.texture.file_names.TEXTURED_FORMATS`
+    ends : of the names of all files that the writers may write; those of an earlier run are deleted
+    folder, name, formats : as :func:`write_renderer_files` takes them
+
+    Returns
+    -------
+    As of :func:`write_renderer_files`.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    warnings = []
+    for end in ends:
         (folder / f"{name}{end}").unlink(missing_ok=True)
     for format, end in TEXTURED_FORMATS.items():
         if format not in formats:
@@ -67,7 +92,7 @@ def write_renderer_files(
         except BrdfpipeError as refusal:
             path.unlink(missing_ok=True)
             warnings.append(f"{end[1:]} not written: {' '.join(str(refusal).split())}")
-    return tuple(f"{name}{end}" for end in RENDERER_FILES if (folder / f"{name}{end}").exists()), tuple(warnings)
+    return tuple(f"{name}{end}" for end in ends if (folder / f"{name}{end}").exists()), tuple(warnings)
 
 
 def _write_gltf(texture: xr.Dataset, rest: xr.Dataset, path: Path, name: str) -> None:
@@ -75,7 +100,7 @@ def _write_gltf(texture: xr.Dataset, rest: xr.Dataset, path: Path, name: str) ->
     document = json.loads(path.read_text(encoding="utf-8"))
     document["images"] = [{"uri": f"{name}.normal.png", "mimeType": "image/png"}]
     # Between pixels as the split assumes; repeated along both axes. No levels of detail: their mean normals lose the slopes of the map, which the BRDF of the rest lacks.
-    between = _GLTF_FILTERS[texture.attrs["interpolation"]]
+    between = GLTF_FILTERS[texture.attrs["interpolation"]]
     document["samplers"] = [{"magFilter": between, "minFilter": between, "wrapS": 10497, "wrapT": 10497}]
     document["textures"] = [{"source": 0, "sampler": 0}]
     document["materials"][0]["normalTexture"] = {"index": 0}
@@ -85,15 +110,14 @@ def _write_gltf(texture: xr.Dataset, rest: xr.Dataset, path: Path, name: str) ->
 
 def _write_materialx(texture: xr.Dataset, rest: xr.Dataset, path: Path, name: str) -> None:
     openpbr.write(rest, path, **FORMATS["openpbr"].options)
-    root = xml.fromstring(path.read_text(encoding="utf-8"), xml.XMLParser(target=xml.TreeBuilder(insert_comments=True)))
+    root = read_document(path)
     plain = re.sub(r"[^A-Za-z0-9_]", "_", name)
-    side = _side(texture)
-    sentence = f" one tile of {name}.normal.png is {side:g} mm wide; its record is {name}.maps.json "
-    root.insert(0, xml.Comment(re.sub("-(?=-)", "- ", sentence)))
+    side = tile_side(texture)
+    root.insert(0, comment(f"one tile of {name}.normal.png is {side:g} mm wide; its record is {name}.maps.json"))
     # Nodes come before the shader that uses them.
     image = xml.Element("tiledimage", name=f"normal_image_{plain}", type="vector3")
     xml.SubElement(image, "input", name="file", type="filename", value=f"{name}.normal.png", colorspace="none")
-    between = _MATERIALX_FILTERS[texture.attrs["interpolation"]]
+    between = MATERIALX_FILTERS[texture.attrs["interpolation"]]
     xml.SubElement(image, "input", name="filtertype", type="string", value=between)
     normal = xml.Element("normalmap", name=f"normal_{plain}", type="vector3")
     xml.SubElement(normal, "input", name="in", type="vector3", nodename=image.attrib["name"])
@@ -103,31 +127,40 @@ def _write_materialx(texture: xr.Dataset, rest: xr.Dataset, path: Path, name: st
     root.insert(at, image)
     root.insert(at + 1, normal)
     xml.SubElement(shader, "input", name="geometry_normal", type="vector3", nodename=normal.attrib["name"])
-    xml.indent(root)
-    store.write_text(path, f'<?xml version="1.0"?>\n{xml.tostring(root, encoding="unicode")}\n')
+    write_document(root, path)
 
 
 def _write_mitsuba(texture: xr.Dataset, rest: xr.Dataset, path: Path, name: str) -> None:
     """A panel of 4 x 4 tiles under a small lamp, 45 degree from the normal."""
     table = path.with_name(f"{name}.unresolved.rgb.bsdf")
-    record = rgl.write(rest, table, tolerance=0.01, albedo_tolerance=0.001, largest=400_000)
+    record = rgl.write(rest, table, **TABLE_OPTIONS)
     FORMATS["rgl"].write_record(table, record)
-    side = _side(texture)
-    tiles, distance = 4, 40.0
     lay = representation(rest).lay
-    comment = (
-        f" 4 x 4 tiles of {side:g} mm; lengths in mm; u is x of the map"
-        + ("" if lay is None else ", with the lay of the scan")
-        + " "
-    )
+    scene, shape = panel_scene(tile_side(texture), "" if lay is None else ", with the lay of the scan")
+    mapped = xml.SubElement(shape, "bsdf", type="normalmap")
+    add_bitmap(mapped, "normalmap", f"{name}.normal.png", str(texture.attrs["interpolation"]))
+    measured = xml.SubElement(mapped, "bsdf", type="measured")
+    _value(measured, "string", "filename", table.name)
+    write_document(scene, path)
+
+
+def panel_scene(side: float, note: str = "") -> tuple[xml.Element, xml.Element]:
+    """A scene of Mitsuba, and its panel of 4 x 4 tiles, which has no material yet, under a small lamp, 45 degree from the normal.
+
+    Parameters
+    ----------
+    side : of a tile [mm]
+    note : end of the comment of the file
+    """
+    distance = 40.0
     scene = xml.Element("scene", version="3.0.0")
-    scene.append(xml.Comment(re.sub("-(?=-)", "- ", comment)))
+    scene.append(comment(f"{TILES} x {TILES} tiles of {side:g} mm; lengths in mm; u is x of the map{note}"))
     integrator = xml.SubElement(scene, "integrator", type="path")
     _value(integrator, "integer", "max_depth", "4")
     sensor = xml.SubElement(scene, "sensor", type="perspective")
     _value(sensor, "float", "fov", f"{1.2 * 57.3 / distance:.3f}")
     pose = xml.SubElement(sensor, "transform", name="to_world")
-    xml.SubElement(pose, "lookat", origin=f"0, 0, {distance * tiles * side:g}", target="0, 0, 0", up="0, 1, 0")
+    xml.SubElement(pose, "lookat", origin=f"0, 0, {distance * TILES * side:g}", target="0, 0, 0", up="0, 1, 0")
     sampler = xml.SubElement(sensor, "sampler", type="independent")
     _value(sampler, "integer", "sample_count", "64")
     film = xml.SubElement(sensor, "film", type="hdrfilm")
@@ -138,26 +171,43 @@ def _write_mitsuba(texture: xr.Dataset, rest: xr.Dataset, path: Path, name: str)
     xml.SubElement(lamp, "rgb", name="irradiance", value="3")
     shape = xml.SubElement(scene, "shape", type="rectangle")
     placed = xml.SubElement(shape, "transform", name="to_world")
-    xml.SubElement(placed, "scale", value=f"{tiles * side / 2:g}")
-    mapped = xml.SubElement(shape, "bsdf", type="normalmap")
-    bitmap = xml.SubElement(mapped, "texture", type="bitmap", name="normalmap")
-    _value(bitmap, "string", "filename", f"{name}.normal.png")
+    xml.SubElement(placed, "scale", value=f"{TILES * side / 2:g}")
+    return scene, shape
+
+
+def add_bitmap(material: xml.Element, name: str, file: str, interpolation: str) -> None:
+    """Give a material of :func:`panel_scene` a linear picture, repeated over the panel, as its input of this name."""
+    bitmap = xml.SubElement(material, "texture", type="bitmap", name=name)
+    _value(bitmap, "string", "filename", file)
     _value(bitmap, "boolean", "raw", "true")
-    _value(bitmap, "string", "filter_type", str(texture.attrs["interpolation"]))
+    _value(bitmap, "string", "filter_type", interpolation)
     _value(bitmap, "string", "wrap_mode", "repeat")
     repeated = xml.SubElement(bitmap, "transform", name="to_uv")
     # Mitsuba has the first row of a picture, the upper edge of the map, at v = 0, where y is lowest.
-    xml.SubElement(repeated, "scale", x=str(tiles), y=str(-tiles))
-    measured = xml.SubElement(mapped, "bsdf", type="measured")
-    _value(measured, "string", "filename", table.name)
-    xml.indent(scene)
-    store.write_text(path, f'<?xml version="1.0"?>\n{xml.tostring(scene, encoding="unicode")}\n')
+    xml.SubElement(repeated, "scale", x=str(TILES), y=str(-TILES))
+
+
+def write_document(root: xml.Element, path: Path) -> None:
+    """Write a document of XML: a scene of Mitsuba, or MaterialX."""
+    xml.indent(root)
+    store.write_text(path, f'<?xml version="1.0"?>\n{xml.tostring(root, encoding="unicode")}\n')
+
+
+def read_document(path: Path) -> xml.Element:
+    """The root of a document of XML, with its comments."""
+    parser = xml.XMLParser(target=xml.TreeBuilder(insert_comments=True))
+    return xml.fromstring(path.read_text(encoding="utf-8"), parser)
+
+
+def comment(sentence: str) -> xml.Element[Any]:
+    """A comment of XML, which two hyphens would end."""
+    return xml.Comment(f" {re.sub('-(?=-)', '- ', sentence)} ")
 
 
 def _value(parent: xml.Element, kind: str, name: str, value: str) -> None:
     xml.SubElement(parent, kind, name=name, value=value)
 
 
-def _side(texture: xr.Dataset) -> float:
+def tile_side(texture: xr.Dataset) -> float:
     """Side of a tile [mm]."""
     return float(texture.sizes["x"] * texture.attrs["pixel"]) / 1000

@@ -56,6 +56,8 @@ def exports_table(datasets: Mapping[str, xr.Dataset], name: str) -> Table | None
     if "picture_texture" in datasets:
         listed = ", ".join(_picture_files(datasets["picture_texture"], name))
         rows.append((listed, "reflection", "light over its mean, by geometry", "", ""))
+        if files := json_object(datasets["picture_texture"].attrs.get("files")):
+            rows.append((", ".join(files), "reflection", "materials of renderers with a texture of these", "", ""))
     if "unresolved" in datasets and (files := json_object(datasets["unresolved"].attrs.get("files"))):
         rows.append((", ".join(files), "reflection", "materials of renderers with these maps", "", ""))
     if "readings" in datasets:
