@@ -118,5 +118,5 @@ def test_the_examples_are_built_with_their_textures(tmp_path):
     for name in ("leather-texture", "sparkling-texture"):
         page = (tmp_path / "results" / name / "report.html").read_text(encoding="utf-8")
         assert "Visible structure" in page
-        assert "Under a spot at 45as15, from 0.500 m" in page
-        assert "In diffuse light, from 0.500 m" in page
+        assert "Under a spot at 45as15, from 0.5 m" in page
+        assert "In diffuse light, from 0.5 m" in page
