@@ -133,7 +133,7 @@ def test_the_texture_of_a_metal_is_on_its_lobe(texture, tmp_path):
 def test_the_mirror_image_of_a_smooth_surface_has_no_texture(texture, tmp_path):
     spectrum = samples.spectrum(0.1)
     index = optics.refractive_index(1.5)
-    smooth = microfacet.build(facets.analytic("flat"), index=index, spectrum=spectrum, multiple_scattering="none")
+    smooth = microfacet.build(facets.flat(), index=index, spectrum=spectrum)
     with_paint_files(texture, smooth, tmp_path, NAME, ("gltf", "openpbr"))
     shader = ElementTree.parse(tmp_path / f"{NAME}.textured.mtlx").find("open_pbr_surface")
     assert [given.get("name") for given in shader.findall("input[@nodename]")] == ["base_color"]
