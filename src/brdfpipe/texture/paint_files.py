@@ -14,24 +14,29 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from brdfpipe import store, vocabulary
+from brdfpipe import store
 from brdfpipe.exchange import gltf, openpbr, records, rgl
 from brdfpipe.exchange.registry import FORMATS, ExchangeError
 from brdfpipe.geometry import Array
 from brdfpipe.spectra.colorimetry import encoded_srgb, linear_srgb
-from brdfpipe.texture.file_names import PAINT_FILES, TEXTURED_FORMATS
+from brdfpipe.texture.file_names import PAINT_FILES
 from brdfpipe.texture.renderer_files import (
-    GLTF_FILTERS,
-    MATERIALX_FILTERS,
     TABLE_OPTIONS,
     add_bitmap,
+    add_gltf_texture,
     comment,
+    insert_before,
     panel_scene,
     read_document,
+    surface_shader,
     tile_side,
+    tiled_image,
+    with_files,
     write_document,
-    write_each,
 )
+
+_LEVELS_OF_DETAIL = 9987
+"""LINEAR_MIPMAP_LINEAR (Khronos, glTF 2.0 specification, 5.26): right here, as they are means of the light, not of normals."""
 
 LARGEST_CUT = 0.01
 """Share of the light that pixels above the largest value of a format may lose."""
@@ -50,15 +55,6 @@ class Picture(NamedTuple):
 def with_paint_files(
     texture: xr.Dataset, bsdf: xr.Dataset, folder: Path, name: str, formats: Sequence[str]
 ) -> xr.Dataset:
-    """Write the files of :func:`write_paint_files`; return the texture with their names, as the attribute ``files``, and their warnings."""
-    files, warnings = write_paint_files(texture, bsdf, folder, name, formats)
-    listed = {file: store.file_digest(folder / file) for file in files}
-    return vocabulary.add_warning(texture.assign_attrs(files=store.canonical_json(listed)), *warnings)
-
-
-def write_paint_files(
-    texture: xr.Dataset, bsdf: xr.Dataset, folder: Path, name: str, formats: Sequence[str] = tuple(TEXTURED_FORMATS)
-) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Write ``<name>.textured.gltf`` (with ``.textured.png``), ``.textured.mtlx``, and ``.textured.xml`` (Mitsuba, with the table ``.textured.rgb.bsdf``).
 
     Parameters
@@ -70,7 +66,7 @@ def write_paint_files(
 
     Returns
     -------
-    Names of the files, and a warning for each format that cannot hold the material, of which an earlier file is deleted.
+    The texture, as :func:`brdfpipe.texture.renderer_files.with_files` returns it.
 
     Notes
     -----
@@ -82,7 +78,7 @@ def write_paint_files(
         "openpbr": lambda path: _write_materialx(texture, picture, bsdf, path, name),
         "rgl": lambda path: _write_mitsuba(texture, picture, bsdf, path, name),
     }
-    return write_each(writers, PAINT_FILES, folder, name, formats)
+    return with_files(texture, writers, PAINT_FILES, folder, name, formats)
 
 
 def chosen_picture(texture: xr.Dataset) -> Picture:
@@ -121,11 +117,7 @@ def _write_gltf(texture: xr.Dataset, picture: Picture, bsdf: xr.Dataset, path: P
     shown = linear_srgb(encoded / 255)
     largest *= float((light / largest).mean() / shown.mean())
     light = shown * largest
-    document["images"] = [{"uri": file.name, "mimeType": "image/png"}]
-    # Levels of detail are right here: means of the light, not of normals.
-    between = GLTF_FILTERS[texture.attrs["interpolation"]]
-    document["samplers"] = [{"magFilter": between, "minFilter": 9987, "wrapS": 10497, "wrapT": 10497}]
-    document["textures"] = [{"source": 0, "sampler": 0}]
+    add_gltf_texture(document, file.name, texture, smaller=_LEVELS_OF_DETAIL)
     gain = largest * _base_gain(light, shadow)
     values["baseColorFactor"] = [*np.minimum(base * gain, 1.0).tolist(), 1.0]
     values["baseColorTexture"] = {"index": 0}
@@ -176,13 +168,8 @@ def _write_materialx(texture: xr.Dataset, picture: Picture, bsdf: xr.Dataset, pa
     )
     for sentence in reversed(sentences):
         root.insert(0, comment(sentence))
-    # Nodes come before the shader that uses them.
-    image = xml.Element("tiledimage", name=f"light_image_{plain}", type="float")
-    xml.SubElement(image, "input", name="file", type="filename", value=file, colorspace="none")
-    between = MATERIALX_FILTERS[texture.attrs["interpolation"]]
-    xml.SubElement(image, "input", name="filtertype", type="string", value=between)
-    shader = root.find("open_pbr_surface")
-    assert shader is not None
+    image = tiled_image(f"light_image_{plain}", "float", file, texture)
+    shader = surface_shader(root)
     nodes = [image]
     for given in inputs:
         connected = shader.find(f"input[@name='{given}']")
@@ -198,8 +185,7 @@ def _write_materialx(texture: xr.Dataset, picture: Picture, bsdf: xr.Dataset, pa
         xml.SubElement(product, "input", name="in2", type="float", nodename=image.attrib["name"])
         connected.set("nodename", product.attrib["name"])
         nodes.append(product)
-    at = list(root).index(shader)
-    root[at:at] = nodes
+    insert_before(root, shader, nodes)
     write_document(root, path)
 
 

@@ -18,9 +18,9 @@ from brdfpipe.exchange import gltf, openpbr, rgl
 from brdfpipe.exchange.registry import FORMATS
 from brdfpipe.texture.file_names import RENDERER_FILES, TEXTURED_FORMATS
 
-GLTF_FILTERS = {"bilinear": 9729, "nearest": 9728}
+_GLTF_FILTERS = {"bilinear": 9729, "nearest": 9728}
 """LINEAR and NEAREST (Khronos, glTF 2.0 specification, 5.26)."""
-MATERIALX_FILTERS = {"bilinear": "linear", "nearest": "closest"}
+_MATERIALX_FILTERS = {"bilinear": "linear", "nearest": "closest"}
 
 TABLE_OPTIONS = {"tolerance": 0.01, "albedo_tolerance": 0.001, "largest": 400_000}
 """Of the table that a scene of Mitsuba reads (:data:`brdfpipe.exchange.registry.GRID_OPTIONS`)."""
@@ -32,15 +32,6 @@ TILES = 4
 def with_renderer_files(
     texture: xr.Dataset, rest: xr.Dataset, folder: Path, name: str, formats: Sequence[str]
 ) -> xr.Dataset:
-    """Write the files of :func:`write_renderer_files`; return the rest with their names, as the attribute ``files``, and their warnings."""
-    files, warnings = write_renderer_files(texture, rest, folder, name, formats)
-    listed = {file: store.file_digest(folder / file) for file in files}
-    return vocabulary.add_warning(rest.assign_attrs(files=store.canonical_json(listed)), *warnings)
-
-
-def write_renderer_files(
-    texture: xr.Dataset, rest: xr.Dataset, folder: Path, name: str, formats: Sequence[str] = tuple(TEXTURED_FORMATS)
-) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Write ``<name>.textured.gltf``, ``.textured.mtlx`` and ``.textured.xml`` (Mitsuba, with the table ``<name>.unresolved.rgb.bsdf``).
 
     Parameters
@@ -52,30 +43,35 @@ def write_renderer_files(
 
     Returns
     -------
-    Names of the files, and a warning for each format that cannot hold the material, of which an earlier file is deleted.
+    The rest, as :func:`with_files` returns it.
     """
     writers: dict[str, Callable[[Path], None]] = {
         "gltf": lambda path: _write_gltf(texture, rest, path, name),
         "openpbr": lambda path: _write_materialx(texture, rest, path, name),
         "rgl": lambda path: _write_mitsuba(texture, rest, path, name),
     }
-    return write_each(writers, RENDERER_FILES, folder, name, formats)
+    return with_files(rest, writers, RENDERER_FILES, folder, name, formats)
 
 
-def write_each(
-    writers: Mapping[str, Callable[[Path], None]], ends: Sequence[str], folder: Path, name: str, formats: Sequence[str]
-) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Write a material of each format.
+def with_files(
+    dataset: xr.Dataset,
+    writers: Mapping[str, Callable[[Path], None]],
+    ends: Sequence[str],
+    folder: Path,
+    name: str,
+    formats: Sequence[str],
+) -> xr.Dataset:
+    """Write a material of each format, and state the files in a dataset.
 
     Parameters
     ----------
     writers : format → what writes its file; formats are those of :data:`brdfpipe.texture.file_names.TEXTURED_FORMATS`
     ends : of the names of all files that the writers may write; those of an earlier run are deleted
-    folder, name, formats : as :func:`write_renderer_files` takes them
+    folder, name, formats : as :func:`with_renderer_files` takes them
 
     Returns
     -------
-    As of :func:`write_renderer_files`.
+    The dataset with the digests of the files by name, as the attribute ``files``, and a warning for each format that cannot hold the material, of which an earlier file is deleted.
     """
     folder.mkdir(parents=True, exist_ok=True)
     warnings = []
@@ -92,17 +88,17 @@ def write_each(
         except BrdfpipeError as refusal:
             path.unlink(missing_ok=True)
             warnings.append(f"{end[1:]} not written: {' '.join(str(refusal).split())}")
-    return tuple(f"{name}{end}" for end in ends if (folder / f"{name}{end}").exists()), tuple(warnings)
+    written = [f"{name}{end}" for end in ends if (folder / f"{name}{end}").exists()]
+    listed = {file: store.file_digest(folder / file) for file in written}
+    return vocabulary.add_warning(dataset.assign_attrs(files=store.canonical_json(listed)), *warnings)
 
 
 def _write_gltf(texture: xr.Dataset, rest: xr.Dataset, path: Path, name: str) -> None:
     gltf.write(rest, path, **FORMATS["gltf"].options)
     document = json.loads(path.read_text(encoding="utf-8"))
-    document["images"] = [{"uri": f"{name}.normal.png", "mimeType": "image/png"}]
-    # Between pixels as the split assumes; repeated along both axes. No levels of detail: their mean normals lose the slopes of the map, which the BRDF of the rest lacks.
-    between = GLTF_FILTERS[texture.attrs["interpolation"]]
-    document["samplers"] = [{"magFilter": between, "minFilter": between, "wrapS": 10497, "wrapT": 10497}]
-    document["textures"] = [{"source": 0, "sampler": 0}]
+    # Between pixels as the split assumes. No levels of detail: their mean normals lose the slopes of the map, which the BRDF of the rest lacks.
+    between = _GLTF_FILTERS[texture.attrs["interpolation"]]
+    add_gltf_texture(document, f"{name}.normal.png", texture, smaller=between)
     document["materials"][0]["normalTexture"] = {"index": 0}
     document["materials"][0]["extras"]["brdfpipe"]["maps"] = f"{name}.maps.json"
     store.write_text(path, json.dumps(document, indent=1, ensure_ascii=False) + "\n")
@@ -114,20 +110,43 @@ def _write_materialx(texture: xr.Dataset, rest: xr.Dataset, path: Path, name: st
     plain = re.sub(r"[^A-Za-z0-9_]", "_", name)
     side = tile_side(texture)
     root.insert(0, comment(f"one tile of {name}.normal.png is {side:g} mm wide; its record is {name}.maps.json"))
-    # Nodes come before the shader that uses them.
-    image = xml.Element("tiledimage", name=f"normal_image_{plain}", type="vector3")
-    xml.SubElement(image, "input", name="file", type="filename", value=f"{name}.normal.png", colorspace="none")
-    between = MATERIALX_FILTERS[texture.attrs["interpolation"]]
-    xml.SubElement(image, "input", name="filtertype", type="string", value=between)
+    image = tiled_image(f"normal_image_{plain}", "vector3", f"{name}.normal.png", texture)
     normal = xml.Element("normalmap", name=f"normal_{plain}", type="vector3")
     xml.SubElement(normal, "input", name="in", type="vector3", nodename=image.attrib["name"])
+    shader = surface_shader(root)
+    xml.SubElement(shader, "input", name="geometry_normal", type="vector3", nodename=normal.attrib["name"])
+    insert_before(root, shader, [image, normal])
+    write_document(root, path)
+
+
+def add_gltf_texture(document: dict[str, Any], file: str, texture: xr.Dataset, *, smaller: int) -> None:
+    """Give a document of glTF its texture 0: a PNG file, repeated along both axes. ``smaller`` is the filter of pixels that are smaller than those of the screen."""
+    document["images"] = [{"uri": file, "mimeType": "image/png"}]
+    between = _GLTF_FILTERS[texture.attrs["interpolation"]]
+    document["samplers"] = [{"magFilter": between, "minFilter": smaller, "wrapS": 10497, "wrapT": 10497}]
+    document["textures"] = [{"source": 0, "sampler": 0}]
+
+
+def tiled_image(name: str, type: str, file: str, texture: xr.Dataset) -> xml.Element:
+    """A node of MaterialX: a linear picture that is repeated, interpolated as a texture says."""
+    node = xml.Element("tiledimage", name=name, type=type)
+    xml.SubElement(node, "input", name="file", type="filename", value=file, colorspace="none")
+    between = _MATERIALX_FILTERS[texture.attrs["interpolation"]]
+    xml.SubElement(node, "input", name="filtertype", type="string", value=between)
+    return node
+
+
+def surface_shader(root: xml.Element) -> xml.Element:
+    """The shader of a document of MaterialX that :mod:`brdfpipe.exchange.openpbr` wrote."""
     shader = root.find("open_pbr_surface")
     assert shader is not None
+    return shader
+
+
+def insert_before(root: xml.Element, shader: xml.Element, nodes: Sequence[xml.Element]) -> None:
+    """Insert nodes before the shader that uses them, as MaterialX wants it."""
     at = list(root).index(shader)
-    root.insert(at, image)
-    root.insert(at + 1, normal)
-    xml.SubElement(shader, "input", name="geometry_normal", type="vector3", nodename=normal.attrib["name"])
-    write_document(root, path)
+    root[at:at] = nodes
 
 
 def _write_mitsuba(texture: xr.Dataset, rest: xr.Dataset, path: Path, name: str) -> None:
