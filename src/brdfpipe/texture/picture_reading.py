@@ -10,6 +10,7 @@ import numpy as np
 
 from brdfpipe.errors import InputError
 from brdfpipe.geometry import Array
+from brdfpipe.spectra.colorimetry import linear_srgb
 
 PICTURES = (".png", ".tif", ".tiff")
 """Extensions; JPEG changes the fine structure that a texture is made of."""
@@ -87,7 +88,7 @@ def read_picture(path: Path, curve: str | None = None) -> Picture:
             f"{path.name}: 8 bits were taken as sRGB, whose curve few cameras keep; take linear pictures of 16 bits, or state `texture.curve`"
         )
     if encoded:
-        values = np.where(values <= 0.04045, values / 12.92, ((values + 0.055) / 1.055) ** 2.4)
+        values = linear_srgb(values)
     return Picture((values @ _LUMINANCE if values.ndim == 3 else values)[::-1], stored_as, tuple(warnings))
 
 
