@@ -509,7 +509,7 @@ def _part_of_table(subject: Subject) -> dict[str, Any]:
 
 def _texture(subject: Subject, wildcards: Wildcards) -> dict[str, Any]:
     """The keys of the texture, and the distance from which the scene sees it."""
-    return dict(subject.section("texture")) | _texture_preview(subject, wildcards)
+    return dict(subject.section("texture")) | _viewing_distance(subject, wildcards)
 
 
 def _picture_texture(subject: Subject, wildcards: Wildcards) -> dict[str, Any]:
@@ -519,7 +519,7 @@ def _picture_texture(subject: Subject, wildcards: Wildcards) -> dict[str, Any]:
     return given | {"geometries": geometries, "formats": _textured_formats(subject)}
 
 
-def _texture_preview(subject: Subject, wildcards: Wildcards) -> dict[str, Any]:
+def _viewing_distance(subject: Subject, wildcards: Wildcards) -> dict[str, Any]:
     """The distance from which the scene sees the texture, where it says so."""
     distance = None if subject.scene is None else subject.scene.content.get("viewing_distance")
     return {} if distance is None else {"distance": distance}
@@ -1061,7 +1061,7 @@ _STAGES = (
         "texture_preview",
         "pictures of the visible structure as an eye sees it from a distance",
         when=_has("texture") & _enabled("preview") & _asked("preview") & _asked("texture"),
-        keys=_config_keys(illuminant="illuminant") | StageKeys(read=_texture_preview),
+        keys=_config_keys(illuminant="illuminant") | StageKeys(read=_viewing_distance),
         kind="preview",
         memory=2000,
         minutes=1,
