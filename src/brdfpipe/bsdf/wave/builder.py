@@ -94,14 +94,20 @@ _MIDDLE = 0.55
 """Wavelength at which a surface is judged [um]."""
 _LEAST_SIGMA = 1e-9
 """Rms height below which a surface is as good as flat [um]."""
-_INCIDENCES, _LAY_INCIDENCES = 49, 33
+_INCIDENCES, _LAY_INCIDENCES = 25, 25
 """Angles of incidence at which the reflectance is integrated."""
+_BETWEEN_INCIDENCES = 4
+"""Steps of the closure of the energy from one of these to the next: what heights say of coherent light varies faster than integrals of the halo."""
 _NEARLY_GRAZING = 89.9999
 """Incidence in place of 90° [degree], at which what the facets return of the light has reached its limit."""
+_ORDER = 8
+"""Points of the integral over the lobe in each panel along its radius."""
 _TURNS, _LONG_LOBE = 12, 0.5
 """Azimuths about the mirror direction in half a turn, and the cosine of incidence below which it has twice as many: a lobe is 1/cos θ times as long there as wide."""
-_WAVELENGTHS, _LAY_WAVELENGTHS = 12, 6
+_WAVELENGTHS, _LAY_WAVELENGTHS = 5, 5
 """Wavelengths at which the reflectance is integrated; over the others its ratio to Fresnel's is interpolated."""
+_CLOSURE_WAVELENGTHS, _LAY_CLOSURE_WAVELENGTHS = 41, 12
+"""Wavelengths of the closure of the energy."""
 _ITERATIONS, _CLOSURES = 60, (1e-6, 2.0)
 """Of the factors that close the energy of the halo, and their limits."""
 _CLOSURE_ARCS = 12
@@ -501,8 +507,7 @@ def _with_albedo(bsdf: xr.Dataset, theta_m: float, psd: xr.Dataset) -> xr.Datase
         bsdf = bsdf.assign_coords(phi_i=np.sort(np.round(around, 9) % 360))
 
     def between(values: Array) -> Array:
-        place = closure_place(np.cos(np.radians(table.theta)), theta.size)
-        return np.asarray(CubicSpline(np.arange(theta.size), values)(place))
+        return _between_incidences(values, closure_place(np.cos(np.radians(table.theta)), theta.size))
 
     returned, phi = between(scattered), np.zeros(1)
     if lay := "phi_i" in bsdf.coords:
@@ -550,13 +555,14 @@ def _with_closure(
     arcs = closure_arcs(_CLOSURE_ARCS if lay else 1)
     azimuths = arc_to_azimuth(ellipse_of(bsdf), arcs) if lay else np.zeros(1)
     few, directions = _few(wavelength, azimuths), _directions(bsdf, azimuths)
+    many = _evenly(wavelength.size, _LAY_CLOSURE_WAVELENGTHS if lay else _CLOSURE_WAVELENGTHS, few)
+    between = closure_nodes((theta.size - 1) * _BETWEEN_INCIDENCES + 1)
     # The reflectance is integrated at the same directions after this.
     surface = surface.prepared_for(2 * _count(directions, theta) * few.size)
-    integrated = np.minimum(theta, _NEARLY_GRAZING)
     first_order = np.zeros((theta.size, arcs.size, few.size))
-    kernel = np.zeros((few.size, *first_order.shape[:2], first_order[..., 0].size))
+    kernel = np.zeros((few.size, *first_order.shape[:2], between.size * arcs.size))
     halos: list[list[_Lobe]] = []
-    for row, angle in enumerate(integrated):
+    for row, angle in enumerate(np.minimum(theta, _NEARLY_GRAZING)):
         halos.append([])
         for number, (weight, angles) in enumerate(directions(float(angle))):
             halo = surface.halo_of_mirrors(angles, wavelength[few])
@@ -564,31 +570,44 @@ def _with_closure(
             halos[-1] += [] if lay else [_Lobe(weight, angles, halo)]
             first_order[row, number] = weight @ halo[..., 2]
             light = (halo[..., 0] + halo[..., 1]) * weight[:, None]
-            for node, share in _closure_corners(bsdf, angles, theta.size, arcs.size):
+            for node, share in _closure_corners(bsdf, angles, between.size, arcs.size):
                 for column, values in enumerate(light.T):
                     kernel[column, row, number] += np.bincount(node, values * share, minlength=kernel.shape[-1])
-    cosine, between_all = np.cos(np.radians(integrated)), kernel.reshape(few.size, -1, kernel.shape[-1])
-    change = 4e3 * np.pi * cosine[:, None] / wavelength[few]
-    loss = first_order * _height_variance(psd, float(bsdf["sigma"]), change)[:, None]
-    target = -np.expm1(-loss)
+    # Integrals of the halo vary slowly with incidence and wavelength; what the heights say of coherent light does not.
+    place = np.arange(between.size) / _BETWEEN_INCIDENCES
+    cosine = np.cos(np.radians(np.minimum(between, _NEARLY_GRAZING)))
+    scale = cosine[:, None, None] / (wavelength * 1e-3) ** 2
+    of_first_order = first_order / scale[::_BETWEEN_INCIDENCES, :, few]
+    loss = _between_wavelengths(_between_incidences(of_first_order, place), wavelength[few], wavelength[many])
+    change = 4e3 * np.pi * cosine[:, None] / wavelength[many]
+    loss = loss * _height_variance(psd, float(bsdf["sigma"]), change)[:, None]
+    target, of_few = -np.expm1(-loss * scale[..., many]), np.searchsorted(many, few)
 
-    def returned(factor: Array) -> Array:
-        flat = factor.reshape(-1, few.size)
-        return np.asarray((flat * np.einsum("wij,jw->iw", between_all, flat)).reshape(factor.shape))
+    to_between = _between_incidences(np.eye(theta.size), place)
 
-    factor = np.ones_like(target)
+    def halo_of(factor: Array) -> Array:
+        """Light of the halo over the factor of its incidence, for the factor of its exit, (incidences, arcs, few wavelengths) both."""
+        integrated = (kernel @ factor.reshape(-1, few.size).T[:, None, :, None])[..., 0]
+        return np.asarray(np.einsum("bt,wta->baw", to_between, integrated))
+
+    wanted = target[..., of_few]
+    factor = np.ones_like(wanted)
     for _ in range(_ITERATIONS):
-        factor = np.clip(factor * np.sqrt(target / np.maximum(returned(factor), 1e-300)), *_CLOSURES)
-    left = np.abs(target - returned(factor)).max(axis=1)
-    loss = loss * (wavelength[few] * 1e-3) ** 2 / cosine[:, None, None]
-    bsdf = bsdf.assign_coords(closure_wavelength=wavelength[few], closure_incidence=theta)
+        light = factor * halo_of(factor)
+        factor = np.clip(factor * np.sqrt(wanted / np.maximum(light, 1e-300)), *_CLOSURES)
+    light = halo_of(factor)
+    left = np.abs(wanted - factor * light)[::_BETWEEN_INCIDENCES].max(axis=1)
+    if many.size > few.size:
+        light = _between_wavelengths(light, wavelength[few], wavelength[many])
+        factor = np.clip(target / np.maximum(light, 1e-300), *_CLOSURES)
+    bsdf = bsdf.assign_coords(closure_wavelength=wavelength[many], closure_incidence=between)
     dims = ["closure_incidence", "closure_wavelength"]
     if lay:
         bsdf, dims = bsdf.assign_coords(closure_arc=arcs), ["closure_incidence", "closure_arc", "closure_wavelength"]
     else:
         factor, loss = factor[:, 0], loss[:, 0]
     bsdf = bsdf.assign(halo_closure=(dims, factor), coherent_loss=(dims, loss))
-    return bsdf, _between_wavelengths(left, few, wavelength, np.ones(1)), halos
+    return bsdf, _between_wavelengths(left, wavelength[few], wavelength), halos
 
 
 class _Lobe(NamedTuple):
@@ -630,17 +649,23 @@ def _height_variance(psd: xr.Dataset, sigma: float, change: Array) -> Array:
 
 def _few(wavelength: Array, azimuths: Array) -> NDArray[np.int64]:
     """Numbers of the wavelengths at which is integrated."""
-    count = min(wavelength.size, _WAVELENGTHS if azimuths.size == 1 else _LAY_WAVELENGTHS)
-    return np.unique(np.linspace(0, wavelength.size - 1, count).round().astype(int))
+    return _evenly(wavelength.size, _WAVELENGTHS if azimuths.size == 1 else _LAY_WAVELENGTHS)
 
 
-def _between_wavelengths(values: Array, few: NDArray[np.int64], wavelength: Array, scale: Array) -> Array:
-    """Values (…, few wavelengths) at all, by a spline through their ratio to a scale (…, wavelength)."""
-    if few.size == wavelength.size:
-        return values
-    scale = np.broadcast_to(scale, (*scale.shape[:-1], wavelength.size))
-    ratio = values / np.maximum(scale[..., few], 1e-12)
-    return np.asarray(CubicSpline(wavelength[few], ratio, axis=-1)(wavelength) * scale)
+def _evenly(size: int, count: int, also: NDArray[np.int64] | None = None) -> NDArray[np.int64]:
+    """Numbers of so many of all, evenly spread, and of others."""
+    chosen = np.unique(np.linspace(0, size - 1, min(size, count)).round().astype(int))
+    return chosen if also is None else np.union1d(chosen, also)
+
+
+def _between_incidences(values: Array, place: Array) -> Array:
+    """Values (incidences, …) at places among their numbers, by a spline."""
+    return np.asarray(CubicSpline(np.arange(len(values)), values)(place))
+
+
+def _between_wavelengths(values: Array, known: Array, wanted: Array) -> Array:
+    """Values (…, known wavelengths) at the wanted ones, by a spline."""
+    return values if known.size == wanted.size else np.asarray(CubicSpline(known, values, axis=-1)(wanted))
 
 
 def _directions(bsdf: xr.Dataset, azimuths: Array) -> Callable[[float], Iterator[tuple[Array, Angles]]]:
@@ -655,7 +680,7 @@ def _directions(bsdf: xr.Dataset, azimuths: Array) -> Callable[[float], Iterator
             # The rule covers one side of the plane of incidence.
             slope = min(slopes(0.0), slopes(theta_i))
             turns = _TURNS if np.cos(np.radians(theta_i)) > _LONG_LOBE else 2 * _TURNS
-            rules = [hemisphere.around_mirror(theta_i, slope, order=5, turns=turns)]
+            rules = [hemisphere.around_mirror(theta_i, slope, order=_ORDER, turns=turns)]
         else:
             rules = [hemisphere.around_mirror_with_lay(theta_i, float(phi), along, across, lay) for phi in azimuths]
         for azimuth, (theta, phi, weight) in zip(azimuths, rules, strict=True):
@@ -696,8 +721,8 @@ def _scattered(
         lobes = halos[row] if halos else [_Lobe(*rule) for rule in directions(float(angle))]
         for number, (weight, angles, halo) in enumerate(lobes):
             result[row, number] = weight @ surface.evaluate(angles, wavelength[few], n[few], k[few], halo=halo)
-    cosine = np.where(theta >= 90, 0.0, np.cos(np.radians(theta)))
-    return _between_wavelengths(result, few, wavelength, np.asarray(fresnel(cosine[:, None], n, k).mean)[:, None])
+    smooth = np.maximum(_smooth(theta, n, k)[:, None], 1e-12)
+    return _between_wavelengths(result / smooth[..., few], wavelength[few], wavelength) * smooth
 
 
 def _arcs(bsdf: xr.Dataset) -> tuple[Array, float]:

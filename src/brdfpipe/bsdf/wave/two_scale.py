@@ -234,7 +234,10 @@ class EnergyClosure(NamedTuple):
         if self.ellipse is not None:
             return self._between(self.factor, cosine, azimuth, wavelength, 1)
         # Linear in both: between wavelengths once, not for every direction.
-        at_wavelengths = np.stack([np.interp(wavelength, self.wavelength, row) for row in self.factor])
+        column = np.interp(wavelength, self.wavelength, np.arange(self.wavelength.size))
+        before = np.minimum(column.astype(int), max(self.wavelength.size - 2, 0))
+        part, after = column - before, np.minimum(before + 1, self.wavelength.size - 1)
+        at_wavelengths = self.factor[:, before] * (1 - part) + self.factor[:, after] * part
         place = np.minimum(closure_place(cosine, len(self.factor)), len(self.factor) - 1)
         row = np.minimum(place.astype(int), len(self.factor) - 2)
         fraction = (place - row)[..., None]
@@ -256,15 +259,13 @@ class EnergyClosure(NamedTuple):
 
 
 def closure_nodes(count: int) -> Array:
-    """Angles of incidence [degree] from 0 to 90, dense towards the normal and towards grazing."""
-    theta = np.degrees(np.arccos((1 + np.cos(np.linspace(np.pi, 0, count))) / 2))[::-1]
-    theta[-1] = 90.0
-    return np.asarray(theta)
+    """Angles of incidence [degree] from 0 to 90, evenly spaced in √cos θ: dense towards grazing, where light passes from scattered to coherent."""
+    return np.asarray(np.degrees(np.arccos(np.linspace(1.0, 0.0, count) ** 2)))
 
 
 def closure_place(cosine: Array, count: int) -> Array:
     """Place [1] of cosines of incidence among the numbers of as many nodes."""
-    return np.asarray(np.arccos(np.minimum(np.maximum(2 * cosine - 1, -1.0), 1.0)) * ((count - 1) / np.pi))
+    return np.asarray((1 - np.sqrt(np.minimum(np.maximum(cosine, 0.0), 1.0))) * (count - 1))
 
 
 def closure_arcs(count: int) -> Array:
