@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 from brdfpipe.bsdf.microfacet import evaluation_kernel
-from brdfpipe.bsdf.wave import two_scale
+from brdfpipe.bsdf.wave import halo_kernel, two_scale
 from brdfpipe.bsdf.wave.halo import Halo, Stretch, amplitudes, polarisation_factor
 from brdfpipe.bsdf.wave.two_scale import RoughSurface
 from brdfpipe.geometry import HalfVector, half_vector
+from brdfpipe.optics.fresnel_equations import fresnel
 
 
 def directions(count: int = 400) -> tuple[np.ndarray, ...]:
@@ -42,14 +43,22 @@ def test_the_table_is_read_as_by_scipy(form, stretch):
     np.testing.assert_allclose(found, expected, rtol=1e-11)
 
 
-def test_the_polarisation_factor_is_that_of_the_amplitudes():
+@pytest.mark.parametrize("k", [0.0, 0.01, 3.0])
+def test_the_polarisation_factor_is_that_of_the_amplitudes(k):
     angles, n = directions(), np.array([1.0, 1.3, 1.5, 2.5])
+    n, k = (n, np.full(4, k)) if k < 1 else (np.append(n, 0.3), np.full(5, k))
     pair, azimuth = half_vector(*angles), angles[3] - angles[1]
-    found = polarisation_factor(pair, azimuth, n, np.zeros(4), compiled=True)
-    expected = amplitudes(pair, azimuth, n, np.zeros(4)).mean
-    np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-16)
-    metal = polarisation_factor(pair, azimuth, n, np.full(4, 3.0), compiled=True)
-    np.testing.assert_array_equal(metal, amplitudes(pair, azimuth, n, np.full(4, 3.0)).mean)
+    found = polarisation_factor(pair, azimuth, n, k, compiled=True)
+    np.testing.assert_allclose(found, amplitudes(pair, azimuth, n, k).mean, rtol=1e-12, atol=1e-16)
+
+
+@pytest.mark.parametrize("k", [0.0, 0.01, 3.0])
+def test_the_reflectance_is_that_of_fresnel(k):
+    cosine, n = np.append(np.linspace(1e-9, 1, 200), 1e-5), np.array([1.0, 1.3, 1.5, 2.5])
+    n, k = (n, np.full(4, k)) if k < 1 else (np.append(n, 0.3), np.full(5, k))
+    np.testing.assert_allclose(
+        halo_kernel.reflectance(cosine, n, k), fresnel(cosine[:, None], n, k).mean, rtol=1e-12, atol=1e-16
+    )
 
 
 def test_compiled_half_vectors_are_those_of_numpy():

@@ -205,6 +205,13 @@ class Model:
         )
         return self._with_further_light(mirrors[..., None] * reflectance, theta_i, phi_i, theta_o, phi_o, once)
 
+    def further_light(self, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array) -> Array | None:
+        """BRDF of directions above the surface without the single reflection, (directions…, wavelength or 1); None if there is no such light."""
+        if self.second is None and self.furnace is None and not self._has_base:
+            return None
+        nothing = np.zeros((1,) * (np.ndim(theta_i) + 1))
+        return self._with_further_light(nothing, theta_i, phi_i, theta_o, phi_o)
+
     def _with_further_light(
         self, brdf: Array, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array, once: OnlyOnce = each_time
     ) -> Array:

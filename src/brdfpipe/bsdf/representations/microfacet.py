@@ -78,6 +78,12 @@ class Interface(Representation):
         """As :meth:`evaluate`, above the surface, of known half vectors and visibilities of facets."""
         return self._model(wavelength).reflected_by(pair, visible, theta_i, phi_i, theta_o, phi_o, once)
 
+    def further_light(
+        self, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array, wavelength: Array | None
+    ) -> Array | None:
+        """What of :meth:`evaluate`, above the surface, facets do not reflect once, (directions…, wavelength or 1); None if that is all."""
+        return self._model(wavelength).further_light(theta_i, phi_i, theta_o, phi_o)
+
     def mueller(self, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array, wavelength: Array | None) -> Array:
         """Frames as in :mod:`brdfpipe.bsdf.microfacet.polarised`; NaN for light through the interface or from within it."""
         return self._model(wavelength).mueller(theta_i, phi_i, theta_o, phi_o)

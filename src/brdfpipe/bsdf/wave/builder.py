@@ -12,7 +12,7 @@ from bisect import bisect_left
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from itertools import product
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import xarray as xr
@@ -62,6 +62,10 @@ from brdfpipe.geometry import Array
 from brdfpipe.masking.modes import HALOS, MASKING_ADVISED, MULTIPLE_SCATTERING_ADVISED, SMITH_ERROR, WAVE_OPTICS
 from brdfpipe.optics.fresnel_equations import fresnel
 from brdfpipe.optics.index import refractive_index
+
+if TYPE_CHECKING:
+    from brdfpipe.bsdf.wave.halo_kernel import Sums
+    from brdfpipe.bsdf.wave.lobe_integrals import LobeIntegrals
 
 FINE_PHASE = 1.0
 """Phase variance of roughness that is too fine to be facets, at normal incidence and 550 nm."""
@@ -486,11 +490,12 @@ def _with_albedo(bsdf: xr.Dataset, theta_m: float, psd: xr.Dataset) -> xr.Datase
 
     surface, azimuths = RoughSurface.of(bsdf), _azimuths(bsdf)
     theta = closure_nodes(_INCIDENCES if azimuths.size == 1 else _LAY_INCIDENCES)
-    closed, halos = surface.halo is not None and surface.halo.first_order is not None, None
-    if closed:
-        bsdf, unmatched, halos = _with_closure(surface, bsdf, theta, psd)
+    if closed := surface.halo is not None and surface.halo.first_order is not None:
+        bsdf, unmatched, found = _with_closure(surface, bsdf, theta, psd)
         surface = RoughSurface.of(bsdf)
-    scattered = _scattered(surface, bsdf, theta, azimuths, halos if azimuths.size == 1 else None)
+        scattered = _closed_scattered(surface, bsdf, theta, azimuths, found)
+    else:
+        scattered = _scattered(surface, bsdf, theta, azimuths)
     missing = smooth(theta)[:, None] * (1 - surface.coherent_share(theta[:, None], azimuths, wavelength)) - scattered
     waves = 1 - surface.facet_share(2 * np.cos(np.radians(theta)), wavelength)
     if not closed:
@@ -543,9 +548,9 @@ def _with_albedo(bsdf: xr.Dataset, theta_m: float, psd: xr.Dataset) -> xr.Datase
 
 def _with_closure(
     surface: RoughSurface, bsdf: xr.Dataset, theta: Array, psd: xr.Dataset
-) -> tuple[xr.Dataset, Array, list[list[_Lobe]]]:
-    """Add what closes the energy of coherent light and halo; the light that this leaves missing, (incidences, wavelength); and the halo of
-    mirrors by incidence and azimuth.
+) -> tuple[xr.Dataset, Array, list[Sums]]:
+    """Add what closes the energy of coherent light and halo; the light that this leaves missing, (incidences, wavelength); and the integrals
+    over the lobes of the incidences, without a lay.
 
     The coherent light of a perfect mirror loses what its surface scatters. That is g at steep incidence, and the light of first order
     where g is small, which near grazing is more than g, and with a lay depends on the azimuth. Of the halo the factor of both
@@ -557,22 +562,18 @@ def _with_closure(
     few, directions = _few(wavelength, azimuths), _directions(bsdf, azimuths)
     many = _evenly(wavelength.size, _LAY_CLOSURE_WAVELENGTHS if lay else _CLOSURE_WAVELENGTHS, few)
     between = closure_nodes((theta.size - 1) * _BETWEEN_INCIDENCES + 1)
-    # The reflectance is integrated at the same directions after this.
-    surface = surface.prepared_for(2 * _count(directions, theta) * few.size)
+    integrals = _lobe_integrals(surface, bsdf, few, between.size * arcs.size)
     first_order = np.zeros((theta.size, arcs.size, few.size))
     kernel = np.zeros((few.size, *first_order.shape[:2], between.size * arcs.size))
-    halos: list[list[_Lobe]] = []
+    found: list[Sums] = []
     for row, angle in enumerate(np.minimum(theta, _NEARLY_GRAZING)):
-        halos.append([])
         for number, (weight, angles) in enumerate(directions(float(angle))):
-            halo = surface.halo_of_mirrors(angles, wavelength[few])
+            corners = _closure_corners(bsdf, angles, between.size, arcs.size)
             # With a lay the light is integrated at other azimuths.
-            halos[-1] += [] if lay else [_Lobe(weight, angles, halo)]
-            first_order[row, number] = weight @ halo[..., 2]
-            light = (halo[..., 0] + halo[..., 1]) * weight[:, None]
-            for node, share in _closure_corners(bsdf, angles, between.size, arcs.size):
-                for column, values in enumerate(light.T):
-                    kernel[column, row, number] += np.bincount(node, values * share, minlength=kernel.shape[-1])
+            sums = integrals(weight, angles, corners, closes=True, scatters=not lay)
+            first_order[row, number], kernel[:, row, number] = sums.first_order, sums.mirror.T
+            if not lay:
+                found.append(sums)
     # Integrals of the halo vary slowly with incidence and wavelength; what the heights say of coherent light does not.
     place = np.arange(between.size) / _BETWEEN_INCIDENCES
     cosine = np.cos(np.radians(np.minimum(between, _NEARLY_GRAZING)))
@@ -607,16 +608,16 @@ def _with_closure(
     else:
         factor, loss = factor[:, 0], loss[:, 0]
     bsdf = bsdf.assign(halo_closure=(dims, factor), coherent_loss=(dims, loss))
-    return bsdf, _between_wavelengths(left, wavelength[few], wavelength), halos
+    return bsdf, _between_wavelengths(left, wavelength[few], wavelength), found
 
 
-class _Lobe(NamedTuple):
-    """Directions of an integral over the lobe of one incidence."""
+def _lobe_integrals(surface: RoughSurface, bsdf: xr.Dataset, few: NDArray[np.int64], nodes: int) -> LobeIntegrals:
+    """At some of the wavelengths."""
+    # It takes a while to load, and waves alone do without it.
+    from brdfpipe.bsdf.wave.lobe_integrals import LobeIntegrals
 
-    weight: Array
-    angles: Angles
-    halo: Array | None = None
-    """Of mirrors, where it is known"""
+    wavelength, n, k = (bsdf[name].values[few] for name in ("wavelength", "n", "k"))
+    return LobeIntegrals(surface, wavelength, n, k, nodes)
 
 
 def _closure_corners(
@@ -708,21 +709,47 @@ def _with_energy_statement(bsdf: xr.Dataset, missing: Array, theta: Array) -> xr
     return vocabulary.add_warning(bsdf, f"{text}. {missed_light.advice(bsdf)}")
 
 
-def _scattered(
-    surface: RoughSurface, bsdf: xr.Dataset, theta: Array, azimuths: Array, halos: list[list[_Lobe]] | None
-) -> Array:
-    """∫ f cos θ_o dω_o without coherent and diffuse light, (incidences, azimuths, wavelength); ``halos`` are those of :func:`_with_closure`."""
+def _scattered(surface: RoughSurface, bsdf: xr.Dataset, theta: Array, azimuths: Array) -> Array:
+    """∫ f cos θ_o dω_o without coherent and diffuse light, (incidences, azimuths, wavelength)."""
     n, k, wavelength = (bsdf[name].values for name in ("n", "k", "wavelength"))
     few, directions = _few(wavelength, azimuths), _directions(bsdf, azimuths)
-    calls = 1 if surface.closure is None else 2
-    surface = surface.prepared_for(calls * _count(directions, theta) * few.size)
+    surface = surface.prepared_for(_count(directions, theta) * few.size)
     result = np.zeros((theta.size, azimuths.size, few.size))
     for row, angle in enumerate(np.minimum(theta, _NEARLY_GRAZING)):
-        lobes = halos[row] if halos else [_Lobe(*rule) for rule in directions(float(angle))]
-        for number, (weight, angles, halo) in enumerate(lobes):
-            result[row, number] = weight @ surface.evaluate(angles, wavelength[few], n[few], k[few], halo=halo)
+        for number, (weight, angles) in enumerate(directions(float(angle))):
+            result[row, number] = weight @ surface.evaluate(angles, wavelength[few], n[few], k[few])
+    return _of_all_wavelengths(result, bsdf, theta, few)
+
+
+def _closed_scattered(
+    surface: RoughSurface, bsdf: xr.Dataset, theta: Array, azimuths: Array, found: list[Sums]
+) -> Array:
+    """The same of a surface whose energy is closed; ``found`` are the integrals over its lobes, where they are known."""
+    wavelength, closure, factor = bsdf["wavelength"].values, surface.closure, bsdf["halo_closure"]
+    assert closure is not None
+    few, directions = _few(wavelength, azimuths), _directions(bsdf, azimuths)
+    incidences, arcs = factor.shape[0], factor.shape[1] if factor.ndim == 3 else 1
+    integrals = _lobe_integrals(surface, bsdf, few, incidences * arcs)
+    # The light is linear in the factors of the outgoing directions.
+    of_nodes = factor.sel(closure_wavelength=wavelength[few]).values.reshape(-1, few.size)
+    result = np.zeros((theta.size, azimuths.size, few.size))
+    for row, angle in enumerate(np.minimum(theta, _NEARLY_GRAZING)):
+        sums = found[row : row + 1] or [
+            integrals(weight, angles, _closure_corners(bsdf, angles, incidences, arcs), scatters=True)
+            for weight, angles in directions(float(angle))
+        ]
+        cosine = np.full(azimuths.size, np.cos(np.radians(angle)))
+        of_incidence = closure.of_halo(cosine, azimuths, wavelength[few])
+        for number, one in enumerate(sums):
+            result[row, number] = of_incidence[number] * np.einsum("nw,nw->w", of_nodes, one.halo) + one.facets
+    return _of_all_wavelengths(result, bsdf, theta, few)
+
+
+def _of_all_wavelengths(values: Array, bsdf: xr.Dataset, theta: Array, few: NDArray[np.int64]) -> Array:
+    """Reflectances (incidences, azimuths, few wavelengths) at all, between which their ratio to Fresnel's is interpolated."""
+    n, k, wavelength = (bsdf[name].values for name in ("n", "k", "wavelength"))
     smooth = np.maximum(_smooth(theta, n, k)[:, None], 1e-12)
-    return _between_wavelengths(result / smooth[..., few], wavelength[few], wavelength) * smooth
+    return _between_wavelengths(values / smooth[..., few], wavelength[few], wavelength) * smooth
 
 
 def _arcs(bsdf: xr.Dataset) -> tuple[Array, float]:

@@ -34,7 +34,7 @@ from brdfpipe.content_cache import cached_by_content
 from brdfpipe.geometry import Array, HalfVector, slope_towards
 
 if TYPE_CHECKING:
-    from brdfpipe.bsdf.wave.halo_kernel import HaloTable
+    from brdfpipe.bsdf.wave.halo_kernel import HaloTable, OrderTable
 
 _TINY = 1e-300
 
@@ -112,11 +112,11 @@ def amplitudes(pair: HalfVector, azimuth: Array, n: Array, k: Array) -> Amplitud
 
 def polarisation_factor(pair: HalfVector, azimuth: Array, n: Array, k: Array, compiled: bool) -> Array:
     """Q of unpolarised light, (directions, wavelength), with the parameters of :func:`amplitudes`; by compiled code if that is loaded."""
-    if not compiled or np.any(k):
+    if not compiled:
         return amplitudes(pair, azimuth, n, k).mean
     from brdfpipe.bsdf.wave import halo_kernel
 
-    return halo_kernel.polarisation_factor(pair, azimuth, n)
+    return halo_kernel.polarisation_factor(pair, azimuth, n, k)
 
 
 def _root(contrast: Field, cosine: Array, absorbing: bool) -> Field:
@@ -263,14 +263,18 @@ class Halo:
         scale = (4 * np.pi * self.sigma) ** 2 * geometry[..., None] / (wavelength * 1e-3) ** 4
         return np.asarray(scale * ratio)
 
+    def slope_and_azimuth(self, pair: HalfVector, azimuths: Azimuths) -> tuple[Array, Array]:
+        """Slope of the facets of pairs, stretched, and the place of its azimuth in the table, (directions,) each; the latter is empty without a lay."""
+        if self.stretch is None:
+            return np.sqrt(pair.slope_squared), np.empty(0)
+        slope, around = self.stretch(*slope_towards(pair, *azimuths))
+        return slope, np.asarray(around * (self.spline.shape[2] - 2 * _WRAPPED) / 180 + _WRAPPED)
+
     def _looked_up(self, tables: Sequence[str], pair: HalfVector, azimuths: Azimuths, wavelength: Array) -> list[Array]:
         """K/g [um2] (``transform``), its limit as g tends to 0 (``spectrum``), or the share of ``first order`` [1], (directions…, wavelength) each."""
-        cosines, place, column = pair.cos_i + pair.cos_o, [], np.empty(0)
-        if self.stretch is None:
-            slope = np.sqrt(pair.slope_squared)
-        else:
-            slope, around = self.stretch(*slope_towards(pair, *azimuths))
-            column = around * (self.spline.shape[2] - 2 * _WRAPPED) / 180 + _WRAPPED
+        cosines, place = pair.cos_i + pair.cos_o, []
+        slope, column = self.slope_and_azimuth(pair, azimuths)
+        if self.stretch is not None:
             place = [np.repeat(column[..., None], wavelength.size, axis=-1)]
         frequency = (slope * cosines)[..., None] / (wavelength * 1e-3)
         limit = self.form == "rayleigh-rice" or tables == ("spectrum",)
@@ -297,6 +301,15 @@ class Halo:
     def by_compiled_code(self) -> Halo:
         """The same halo, whose table is read by compiled code."""
         return self if self.compiled else replace(self, compiled=True)
+
+    @cached_property
+    def by_order_table(self) -> OrderTable:
+        """The tables side by side, as compiled code sums light of all orders."""
+        from brdfpipe.bsdf.wave.halo_kernel import OrderTable
+
+        splines = [self.spline] if self.first_order is None else [self.spline, self.first_order]
+        phase, frequency = (self.first_phase, self.phase_step), (self.scale, self.frequency_step)
+        return OrderTable.of(splines, self.sigma, phase, frequency)
 
     @property
     def _first_order(self) -> Array:

@@ -6,9 +6,11 @@ All compiled functions are in this module, because the compiler's cache of a fun
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from brdfpipe.compilation import compiled
 from brdfpipe.geometry import Array, HalfVector
@@ -31,6 +33,139 @@ class HaloTable(NamedTuple):
         volume = spline[..., None] if spline.ndim == 2 else spline
         padded = np.pad(volume, [(_EDGE, _EDGE), (_EDGE, _EDGE), (0, 0)], mode="reflect")
         return cls(np.ascontiguousarray(padded), phase_matters)
+
+
+class OrderTable(NamedTuple):
+    """The tables of one halo side by side, as the light of all orders is summed from them."""
+
+    coefficients: Array
+    """(phase variance, frequency, azimuth, table) of ln(K/g), and of the logarithm of the share of first order if it is known; as of :class:`HaloTable`"""
+    spectrum: Array
+    """(frequency, azimuth) of the limit g → 0 of ln(K/g)"""
+    sigma: float
+    """Rms height [um]"""
+    first_phase: float
+    """ln g of the first node"""
+    phase_step: float
+    scale: float
+    """f0 [um-1]"""
+    frequency_step: float
+
+    @classmethod
+    def of(
+        cls, splines: Sequence[Array], sigma: float, phase: tuple[float, float], frequency: tuple[float, float]
+    ) -> OrderTable:
+        """Of the coefficients of one spline or two, the first node and step of ln g, and f0 and step of the frequencies."""
+        tables = np.stack([HaloTable.of(spline, True).coefficients for spline in splines], axis=-1)
+        first, second = 1 / 6, 2 / 3
+        before, at, after = tables[_EDGE - 1 : _EDGE + 2, ..., 0]
+        return cls(tables, (before + after) * first + at * second, sigma, *phase, *frequency)
+
+
+class Lobe(NamedTuple):
+    """Directions of an integral over the light of one incidence, (directions,) each but for the last two."""
+
+    weight: Array
+    """cos θ_o dω_o [sr]"""
+    slope: Array
+    """Of the facet that mirrors one direction into the other, stretched as the frequencies of the halo are [1]"""
+    facet_slope: Array
+    """The same, not stretched"""
+    azimuth: Array
+    """Place of the stretched slope among the azimuths of the halo's table; 0 without a lay"""
+    cosines: Array
+    """cos θ_i + cos θ_o"""
+    product: Array
+    """cos θ_i cos θ_o"""
+    tilted: Array
+    """What reflects as tilted facets, over what reflects as the mean plane does"""
+    mirrors: Array
+    """BRDF of the facets as perfect mirrors [sr-1]"""
+    node: NDArray[np.int64]
+    """(directions, corners) of the closure's table, between which a direction lies"""
+    share: Array
+    """(directions, corners) of the direction that belongs to each node"""
+
+
+class Body(NamedTuple):
+    """What a body does to the light of a lobe, (directions, wavelength) each."""
+
+    facet_share: Array
+    """Share of the light that is reflected as by facets"""
+    polarisation: Array
+    """Polarisation factor of waves"""
+    reflectance: Array
+    """Fresnel's reflectance of the facet that mirrors one direction into the other"""
+    further: Array
+    """BRDF of what the facets reflect more than once [sr-1]; of size 0 without any"""
+
+
+class Sums(NamedTuple):
+    """Integrals over a lobe."""
+
+    first_order: Array
+    """(wavelength,) of the halo of a perfect mirror, of first order without its loss to higher ones"""
+    mirror: Array
+    """(nodes, wavelength) of the halo of a perfect mirror before it is matched, by nodes of the outgoing direction"""
+    halo: Array
+    """The same of the body, where it does not reflect as facets"""
+    facets: Array
+    """(wavelength,) of the light that is reflected as by facets, with the finer roughness upon them"""
+
+
+_NO_BODY = Body(*[np.empty((0, 0))] * 4)
+NO_TABLE = OrderTable(np.empty((0, 0, 0, 1)), np.empty((0, 0)), 0.0, 0.0, 1.0, 1.0, 1.0)
+
+
+def lobe_sums(
+    lobe: Lobe,
+    halo: OrderTable,
+    fine: OrderTable,
+    wavelength: Array,
+    nodes: int,
+    body: Body | None,
+    *,
+    closes: bool,
+    generalised: bool,
+) -> Sums:
+    """Integrals of the halo and of the facets of a surface over a lobe.
+
+    Parameters
+    ----------
+    lobe : its directions
+    halo : with the share of first order
+    fine : of the roughness upon the facets; :data:`NO_TABLE` without any
+    wavelength : (wavelength,) nm
+    nodes : of the closure
+    body : None for perfect mirrors alone
+    closes : whether the sums of perfect mirrors are wanted
+    generalised : whether the halo is that of generalised Harvey-Shack theory, not of small slopes
+    """
+    um, few = wavelength * 1e-3, wavelength.size
+    sums = Sums(np.zeros(few), np.zeros((nodes, few)), np.zeros((nodes, few)), np.zeros(few))
+    given = _NO_BODY if body is None else body
+    orders = _read(halo, lobe.slope, lobe, um, np.empty((0, 0)) if closes else given.facet_share, 3 if closes else 2)
+    if fine.coefficients.size and body is not None:
+        of_fine = _read(fine, lobe.facet_slope, lobe, um, 1 - given.facet_share, 1)[0]
+    else:
+        of_fine = np.empty((0, 0))
+    _lobe_sums(lobe, orders, of_fine, (halo.sigma, fine.sigma), um, given, closes, generalised, sums)
+    return sums
+
+
+def _read(table: OrderTable, slope: Array, lobe: Lobe, um: Array, left_out: Array, values: int) -> Array:
+    """K/g [um2], the share of first order and the limit of K/g, (values, directions, wavelength); of the first ``values`` alone.
+
+    ``left_out`` (directions, wavelength) is 1 where nobody needs them; of size 0 for nowhere.
+    """
+    # Logarithms and exponentials of whole arrays take a fraction of the time of single ones.
+    along = np.empty((slope.size, um.size))
+    _along(slope, lobe.cosines, um, table.scale, along)
+    np.log(along, out=along)
+    result = np.empty((values, *along.shape))
+    log_phase = 2 * np.log(2 * np.pi * table.sigma / um) - table.first_phase
+    _read_logarithms(table, along, 2 * np.log(lobe.cosines), log_phase, lobe.azimuth, left_out, result)
+    return np.exp(result, out=result)
 
 
 class Place(NamedTuple):
@@ -66,38 +201,112 @@ def _splines(coefficients: Array, phase_matters: bool, place: Place, result: Arr
                 result[j, w] = _in_volume(coefficients, row, at, place.azimuth[j])
 
 
-def polarisation_factor(pair: HalfVector, azimuth: Array, n: Array) -> Array:
-    """Q of unpolarised light on a body that does not absorb, (directions, wavelength), as :func:`~brdfpipe.bsdf.wave.halo.amplitudes`."""
+def polarisation_factor(pair: HalfVector, azimuth: Array, n: Array, k: Array) -> Array:
+    """Q of unpolarised light, (directions, wavelength), as :func:`~brdfpipe.bsdf.wave.halo.amplitudes`."""
     result = np.empty((azimuth.size, n.size))
-    cos_i, sin_i, cos_o, sin_o, turned, index = (
-        np.ascontiguousarray(values, dtype=float) for values in (*pair[2:], azimuth, n)
+    cos_i, sin_i, cos_o, sin_o, turned, real, imaginary = (
+        np.ascontiguousarray(values, dtype=float) for values in (*pair[2:], azimuth, n, k)
     )
-    _polarisation_factor(cos_i, sin_i, cos_o, sin_o, turned, index, result)
+    _polarisation_factor(cos_i, sin_i, cos_o, sin_o, turned, real, imaginary, bool(imaginary.any()), result)
+    return result
+
+
+def reflectance(cosine: Array, n: Array, k: Array) -> Array:
+    """Fresnel's reflectance for unpolarised light of a body with n >= 1 or k > 0, (directions, wavelength), of cosines (directions,)."""
+    result = np.empty((cosine.size, n.size))
+    cosine, n, k = (np.ascontiguousarray(values, dtype=float) for values in (cosine, n, k))
+    _reflectance(cosine, n, k, bool(k.any()), result)
     return result
 
 
 @compiled
+def _root(square: float, imaginary: float) -> tuple[float, float]:
+    """√(x + iy) of y >= 0, with real and imaginary part >= 0."""
+    longer = math.sqrt((math.sqrt(square * square + imaginary * imaginary) + abs(square)) * 0.5)
+    shorter = imaginary / (2 * longer + _TINY)
+    return (longer, shorter) if square >= 0 else (shorter, longer)
+
+
+@compiled
 def _polarisation_factor(
-    cosines_i: Array, sines_i: Array, cosines_o: Array, sines_o: Array, azimuth: Array, n: Array, result: Array
+    cosines_i: Array,
+    sines_i: Array,
+    cosines_o: Array,
+    sines_o: Array,
+    azimuth: Array,
+    n: Array,
+    k: Array,
+    absorbs: bool,
+    result: Array,
 ) -> None:
+    """Squares of amplitudes have a common factor |ε − 1|² and the squares of the sums in their denominators."""
+    contrast, imaginary = (n - 1) * (n + 1) - k * k, 2 * n * k
+    power = contrast * contrast + imaginary * imaginary
+    size = n.size
+    root_i, root_i_imaginary, root_i_squared = np.zeros(size), np.zeros(size), np.zeros(size)
+    of_s, of_p, before = np.empty(size), np.empty(size), -1.0
     for j in range(azimuth.size):
         turned = (180 - azimuth[j]) * (math.pi / 180)
         cos, sin = math.cos(turned), math.sin(turned)
+        cos_squared, sin_squared = cos * cos, sin * sin
         cos_i, cos_o, sines = cosines_i[j], cosines_o[j], sines_i[j] * sines_o[j]
+        if cos_i != before:
+            before = cos_i
+            for w in range(size):
+                square = contrast[w] + cos_i * cos_i
+                if absorbs:
+                    root_i[w], root_i_imaginary[w] = _root(square, imaginary[w])
+                else:
+                    root_i[w] = math.sqrt(square if square > 0 else 0.0)
+                root_i_squared[w] = root_i[w] * root_i[w] + root_i_imaginary[w] * root_i_imaginary[w]
+                of_s[w], of_p[w] = _denominators(cos_i, contrast[w], imaginary[w], root_i[w], root_i_imaginary[w])
+        if absorbs:
+            for w in range(size):
+                root, root_imaginary = _root(contrast[w] + cos_o * cos_o, imaginary[w])
+                s_o, p_o = _denominators(cos_o, contrast[w], imaginary[w], root, root_imaginary)
+                real = (root_i[w] * root - root_i_imaginary[w] * root_imaginary) * cos - (contrast[w] + 1) * sines
+                aside = (root_i[w] * root_imaginary + root_i_imaginary[w] * root) * cos - imaginary[w] * sines
+                into_s = cos_squared * s_o + sin_squared * ((root * root + root_imaginary * root_imaginary) * p_o)
+                into_p = sin_squared * (root_i_squared[w] * s_o) + (real * real + aside * aside) * p_o
+                result[j, w] = power[w] * (of_s[w] * into_s + of_p[w] * into_p) * 0.5
+        else:
+            for w in range(size):
+                square = contrast[w] + cos_o * cos_o
+                root = math.sqrt(square if square > 0 else 0.0)
+                s_o, p_o = _denominators(cos_o, contrast[w], 0.0, root, 0.0)
+                real = root_i[w] * root * cos - (contrast[w] + 1) * sines
+                into_s = cos_squared * s_o + sin_squared * (root * root * p_o)
+                into_p = sin_squared * (root_i_squared[w] * s_o) + real * real * p_o
+                result[j, w] = power[w] * (of_s[w] * into_s + of_p[w] * into_p) * 0.5
+
+
+@compiled
+def _denominators(
+    cosine: float, contrast: float, imaginary: float, root: float, root_imaginary: float
+) -> tuple[float, float]:
+    """1/|cos θ + √(ε − sin²θ)|² and 1/|ε cos θ + √(ε − sin²θ)|²."""
+    into_s, ahead, aside = cosine + root, (contrast + 1) * cosine + root, imaginary * cosine + root_imaginary
+    into_s = into_s * into_s + root_imaginary * root_imaginary
+    return 1 / (into_s + _TINY), 1 / (ahead * ahead + aside * aside + _TINY)
+
+
+@compiled
+def _reflectance(cosines: Array, n: Array, k: Array, absorbs: bool, result: Array) -> None:
+    contrast, imaginary = (n - 1) * (n + 1) - k * k, 2 * n * k
+    power = contrast * contrast + imaginary * imaginary
+    for j in range(cosines.size):
+        c = cosines[j]
+        squared = c * c
         for w in range(n.size):
-            contrast, epsilon = (n[w] - 1) * (n[w] + 1), n[w] * n[w]
-            root_i, root_o = (
-                math.sqrt(max(contrast + cos_i * cos_i, 0.0)),
-                math.sqrt(max(contrast + cos_o * cos_o, 0.0)),
-            )
-            s_i, s_o = 1 / (cos_i + root_i + _TINY), 1 / (cos_o + root_o + _TINY)
-            p_i, p_o = 1 / (epsilon * cos_i + root_i + _TINY), 1 / (epsilon * cos_o + root_o + _TINY)
-            ss, sp = contrast * cos * s_i * s_o, contrast * sin * root_o * s_i * p_o
-            ps, pp = (
-                contrast * sin * root_i * p_i * s_o,
-                contrast * (root_i * root_o * cos - epsilon * sines) * p_i * p_o,
-            )
-            result[j, w] = ((ss * ss + sp * sp) + (ps * ps + pp * pp)) / 2
+            square, ahead, aside = contrast[w] + squared, (contrast[w] + 2) * squared - 1, imaginary[w] * squared
+            if absorbs:
+                root, root_imaginary = _root(square, imaginary[w])
+            else:
+                root, root_imaginary = math.sqrt(square if square > 0 else 0.0), 0.0
+            of_s, of_p = _denominators(c, contrast[w], imaginary[w], root, root_imaginary)
+            f_s = power[w] * (of_s * of_s)
+            f_p = power[w] * of_p * ((ahead * ahead + aside * aside) * of_p)
+            result[j, w] = ((f_s if f_s < 1 else 1.0) + (f_p if f_p < 1 else 1.0)) * 0.5
 
 
 @compiled
@@ -143,3 +352,176 @@ def _in_volume(c: Array, row: float, column: float, azimuth: float) -> float:
             near = d[0] * c[p, q, k] + d[1] * c[p, q, k + np.uintp(1)]
             value += a[m] * b[n] * (near + (d[2] * c[p, q, k + np.uintp(2)] + d[3] * c[p, q, k + np.uintp(3)]))
     return value
+
+
+# --- sums over a lobe
+
+
+@compiled
+def _along(slope: Array, cosines: Array, um: Array, scale: float, result: Array) -> None:
+    """e to the asinh(f/f0), of frequencies over their scale."""
+    inverse = 1 / (um * scale)
+    for j in range(slope.size):
+        bragg = slope[j] * cosines[j]
+        for w in range(um.size):
+            f = bragg * inverse[w]
+            result[j, w] = f + math.sqrt(f * f + 1)
+
+
+@compiled
+def _read_logarithms(
+    table: OrderTable,
+    along: Array,
+    log_cosines: Array,
+    log_phase: Array,
+    azimuth: Array,
+    left_out: Array,
+    result: Array,
+) -> None:
+    """Logarithms of one to three values: of the transform, of the share of first order, of the limit."""
+    rows, columns, azimuths, tables = table.coefficients.shape
+    last_row, last_column = rows - 2 * _EDGE - 1, columns - 2 * _EDGE - 1
+    steps_a_phase, steps_a_frequency = 1 / table.phase_step, 1 / table.frequency_step
+    flat, limits = table.coefficients.reshape(table.coefficients.size), table.spectrum.reshape(table.spectrum.size)
+    values, leaves_out = result.shape[0], left_out.size > 0
+    for j in range(along.shape[0]):
+        for w in range(along.shape[1]):
+            if leaves_out and left_out[j, w] == 1:
+                for number in range(values):
+                    result[number, j, w] = 0.0
+                continue
+            row = (log_phase[w] + log_cosines[j]) * steps_a_phase
+            row = _mirrored(row if row > 0 else 0.0, last_row)
+            column = _mirrored(along[j, w] * steps_a_frequency, last_column)
+            m, n = np.int64(row), np.int64(column)
+            a, b = _basis(row - m), _basis(column - n)
+            m, n = m + _EDGE - 1, n + _EDGE - 1
+            if azimuths == 1:
+                first, width = np.uintp(tables * (m * columns + n)), np.uintp(tables * columns)
+                if tables == 1:
+                    result[0, j, w] = _of_one(flat, first, width, a, b)
+                else:
+                    result[0, j, w], result[1, j, w] = _of_two(flat, first, width, a, b)
+                if values == 3:
+                    result[2, j, w] = _between_four(limits, np.uintp(n), np.uintp(1), b)
+            else:
+                k = np.int64(azimuth[j])
+                around = _basis(azimuth[j] - k)
+                k -= 1
+                transform = order = limit = 0.0
+                for x in range(4):
+                    for y in range(4):
+                        first = np.uintp(tables * (((m + x) * columns + n + y) * azimuths + k))
+                        part = a[x] * b[y]
+                        transform += part * _between_four(flat, first, np.uintp(2), around)
+                        order += part * _between_four(flat, first + np.uintp(1), np.uintp(2), around)
+                result[0, j, w], result[1, j, w] = transform, order
+                if values == 3:
+                    for y in range(4):
+                        limit += b[y] * _between_four(limits, np.uintp((n + y) * azimuths + k), np.uintp(1), around)
+                    result[2, j, w] = limit
+
+
+@compiled
+def _between_four(c: Array, first: np.uintp, step: np.uintp, b: tuple[float, float, float, float]) -> float:
+    near = b[0] * c[first] + b[1] * c[first + step]
+    return near + (b[2] * c[first + np.uintp(2) * step] + b[3] * c[first + np.uintp(3) * step])
+
+
+@compiled
+def _of_one(
+    c: Array,
+    first: np.uintp,
+    width: np.uintp,
+    a: tuple[float, float, float, float],
+    b: tuple[float, float, float, float],
+) -> float:
+    one = np.uintp(1)
+    near = a[0] * _between_four(c, first, one, b) + a[1] * _between_four(c, first + width, one, b)
+    first += np.uintp(2) * width
+    return near + (a[2] * _between_four(c, first, one, b) + a[3] * _between_four(c, first + width, one, b))
+
+
+@compiled
+def _of_two(
+    c: Array,
+    first: np.uintp,
+    width: np.uintp,
+    a: tuple[float, float, float, float],
+    b: tuple[float, float, float, float],
+) -> tuple[float, float]:
+    """Of two tables side by side."""
+    transform = order = 0.0
+    two = np.uintp(2)
+    for m in range(4):
+        transform += a[m] * _between_four(c, first, two, b)
+        order += a[m] * _between_four(c, first + np.uintp(1), two, b)
+        first += width
+    return transform, order
+
+
+@compiled
+def _lobe_sums(
+    lobe: Lobe,
+    orders: Array,
+    of_fine: Array,
+    sigma: tuple[float, float],
+    um: Array,
+    body: Body,
+    closes: bool,
+    generalised: bool,
+    sums: Sums,
+) -> None:
+    few, scatters = um.size, body.facet_share.size > 0
+    has_fine, has_further, corners = of_fine.size > 0, body.further.size > 0, lobe.node.shape[1]
+    low, high, light = np.empty(few), np.empty(few), np.empty(few)
+    wave_number = (2 * math.pi / um) ** 2
+    inverse = 1 / (um * um)
+    fourth = inverse * inverse
+    for j in range(lobe.weight.size):
+        weight, q, product = lobe.weight[j], lobe.cosines[j], lobe.product[j]
+        tilted = lobe.tilted[j]
+        root = math.sqrt(tilted)
+        of_waves = 1.0 if generalised else 2 * math.sqrt(product) / q
+        phase = (2 * math.pi * sigma[0] * q) ** 2
+        for w in range(few):
+            first = orders[1, j, w]
+            first = first if first < 1 else 1.0
+            a, b = first * of_waves, (1 - first) * root
+            scale = (a + b) * orders[0, j, w] * (phase * fourth[w])
+            low[w], high[w] = a * scale, b * scale
+        if closes:
+            geometry = weight * (4 * math.pi * sigma[0]) ** 2 * (q * q / 4 if generalised else product)
+            for w in range(few):
+                sums.first_order[w] += geometry * orders[2, j, w] * fourth[w]
+            for corner in range(corners):
+                node, part = lobe.node[j, corner], weight * lobe.share[j, corner]
+                for w in range(few):
+                    sums.mirror[node, w] += part * (low[w] + high[w])
+        if not scatters:
+            continue
+        for w in range(few):
+            waves = 1 - body.facet_share[j, w]
+            light[w] = waves * (low[w] * body.polarisation[j, w] + high[w] * body.reflectance[j, w])
+        for corner in range(corners):
+            node, part = lobe.node[j, corner], weight * lobe.share[j, corner]
+            for w in range(few):
+                sums.halo[node, w] += part * light[w]
+        mirrors = lobe.mirrors[j]
+        for w in range(few):
+            light[w] = mirrors * body.reflectance[j, w]
+        if has_further:
+            for w in range(few):
+                light[w] += body.further[j, w]
+        if has_fine:
+            geometry = (4 * math.pi * sigma[1]) ** 2 * product
+            for w in range(few):
+                if body.facet_share[j, w] > 0:
+                    ratio = of_fine[j, w] * inverse[w]
+                    g = (sigma[1] * q) ** 2 * wave_number[w]
+                    undimmed = math.exp(-g)
+                    once = geometry * inverse[w] * ratio * body.polarisation[j, w]
+                    spread = (1 - undimmed) * tilted * (g * ratio) * body.reflectance[j, w]
+                    light[w] = undimmed * (light[w] + once) + spread
+        for w in range(few):
+            sums.facets[w] += weight * body.facet_share[j, w] * light[w]
