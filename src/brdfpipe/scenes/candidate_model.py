@@ -70,7 +70,13 @@ def build(candidate: Candidate, inputs: ModelInputs, numerics: str = FINE) -> xr
         if inputs.psd is None:
             raise ValueError(f"{candidate} needs a roughness spectrum")
         waves_alone = build_wave(
-            inputs.psd, index=index, spectrum=spectrum, diffuse=base, optics="wave", phase_step=numbers.phase_step
+            inputs.psd,
+            index=index,
+            spectrum=spectrum,
+            diffuse=base,
+            optics="wave",
+            phase_step=numbers.phase_step,
+            lay_energy_nodes=numbers.lay_energy_nodes,
         )
         texts = vocabulary.warnings(waves_alone)
         return _with_warnings(waves_alone, [text for text in texts if ADVICE_ON_MODELS not in text])
@@ -115,6 +121,7 @@ def build(candidate: Candidate, inputs: ModelInputs, numerics: str = FINE) -> xr
         optics="auto",
         states_cut_error=False,
         phase_step=numbers.phase_step,
+        lay_energy_nodes=numbers.lay_energy_nodes,
     )
 
 

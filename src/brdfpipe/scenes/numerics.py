@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from brdfpipe.bsdf.microfacet import second_reflection, traced_reflections
+from brdfpipe.bsdf.wave import builder as wave
 from brdfpipe.bsdf.wave import height_transform
 
 QUICK, FINE = "quick", "fine"
@@ -31,15 +32,24 @@ class Numerics:
     """Angles and azimuths of the table of that light"""
     phase_step: float
     """Of the logarithm of the phase variance in tables of the halo [1]"""
+    lay_energy_nodes: wave.EnergyNodes
+    """Of the integrals that close the energy of waves, of a surface with a lay"""
 
 
 NUMERICS = {
-    QUICK: Numerics(compares_all=False, rays=2**13, reflection_nodes=(12, 9), phase_step=0.12),
+    QUICK: Numerics(
+        compares_all=False,
+        rays=2**13,
+        reflection_nodes=(12, 9),
+        phase_step=0.12,
+        lay_energy_nodes=wave.EnergyNodes(17, 4, 3, closure_arcs=8, arcs_a_half=7, arcs_a_turn=15),
+    ),
     FINE: Numerics(
         compares_all=True,
         rays=traced_reflections.RAYS,
         reflection_nodes=second_reflection.NODES,
         phase_step=height_transform.PHASE_STEP,
+        lay_energy_nodes=wave.LAY_ENERGY_NODES,
     ),
 }
 

@@ -172,5 +172,6 @@ def test_finer_tables_and_quadratures_do_not_change_the_gloss_of_a_line(monkeypa
     finer = [float(gloss_at(sample, angle, np.zeros(1), apertures.Rule((8, 12), 10))[0]) for angle in ANGLES]
     assert found == pytest.approx(finer, abs=0.01)
     monkeypatch.setattr(height_transform, "FREQUENCY_STEP", height_transform.FREQUENCY_STEP / 4)
-    monkeypatch.setattr(builder, "_TURNS", 2 * builder._TURNS)
+    more = builder.ENERGY_NODES._replace(turns=2 * builder.ENERGY_NODES.turns)
+    monkeypatch.setattr(builder, "ENERGY_NODES", more)
     assert found == pytest.approx(appearance.gloss(built(), ANGLES).values, abs=0.02)

@@ -12,7 +12,7 @@ from bisect import bisect_left
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from itertools import product
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -98,28 +98,20 @@ _MIDDLE = 0.55
 """Wavelength at which a surface is judged [um]."""
 _LEAST_SIGMA = 1e-9
 """Rms height below which a surface is as good as flat [um]."""
-_INCIDENCES, _LAY_INCIDENCES = 25, 25
-"""Angles of incidence at which the reflectance is integrated."""
 _BETWEEN_INCIDENCES = 4
 """Steps of the closure of the energy from one of these to the next: what heights say of coherent light varies faster than integrals of the halo."""
 _NEARLY_GRAZING = 89.9999
 """Incidence in place of 90° [degree], at which what the facets return of the light has reached its limit."""
-_ORDER = 8
-"""Points of the integral over the lobe in each panel along its radius."""
-_TURNS, _LONG_LOBE = 12, 0.5
-"""Azimuths about the mirror direction in half a turn, and the cosine of incidence below which it has twice as many: a lobe is 1/cos θ times as long there as wide."""
-_WAVELENGTHS, _LAY_WAVELENGTHS = 5, 5
-"""Wavelengths at which the reflectance is integrated; over the others its ratio to Fresnel's is interpolated."""
+_LONG_LOBE = 0.5
+"""Cosine of incidence below which an integral has twice as many azimuths about the mirror direction: a lobe is 1/cos θ times as long there as wide."""
 _CLOSURE_WAVELENGTHS, _LAY_CLOSURE_WAVELENGTHS = 41, 12
 """Wavelengths of the closure of the energy."""
 _ITERATIONS, _CLOSURES = 60, (1e-6, 2.0)
 """Of the factors that close the energy of the halo, and their limits."""
-_CLOSURE_ARCS = 12
-"""Arcs of half a turn at which the energy of the halo of a surface with a lay is closed."""
-_ARCS_A_HALF, _ARCS_A_TURN = 9, 21
-"""Numbers of arcs, in the sense of :func:`azimuth_to_arc`, at which that of a surface with a lay is; odd, for interpolation."""
+_SHARE_INCIDENCES = 49
+"""Angles of incidence at which the share of the light that facets reflect is judged."""
 _LAY_STEP = 15.0
-"""Step of its table, of a surface without facets [degree]."""
+"""Step of the azimuths of the table of reflectance, of a surface with a lay and without facets [degree]."""
 _SMOOTH_SLOPE = 0.01
 """Angle [rad] near grazing on which the reflectance of a smooth surface varies."""
 _GRAZING = np.linspace(89.0, 90.0, 51)
@@ -130,6 +122,29 @@ _BASE = ("diffuse", "diffuse_quality", "total_reflectance", "theta_m")
 """Variables of the base below the facets, which is closed anew."""
 _OF_TABLE = ("directional_albedo", "mean_albedo")
 """Variables of the table of the facets' albedo, in whose place is that of the whole surface."""
+
+
+class EnergyNodes(NamedTuple):
+    """Numbers of nodes of the integrals over the lobe that close the energy of a surface, and give its reflectance."""
+
+    incidences: int
+    order: int
+    """Points in each panel: along the radius about the mirror direction, or with a lay along and across it"""
+    wavelengths: int
+    """Over the others what varies slowly with wavelength is interpolated"""
+    turns: int = 0
+    """Azimuths about the mirror direction in half a turn; not with a lay"""
+    closure_arcs: int = 1
+    """Arcs of half a turn, in the sense of :func:`azimuth_to_arc`, at which the energy of the halo of a surface with a lay is closed"""
+    arcs_a_half: int = 1
+    """Arcs of half a turn at which the reflectance of a surface with a lay is integrated; odd, for interpolation"""
+    arcs_a_turn: int = 1
+    """Those of a whole turn, if the two halves differ"""
+
+
+ENERGY_NODES = EnergyNodes(25, 8, 5, turns=12)
+LAY_ENERGY_NODES = EnergyNodes(25, 6, 5, closure_arcs=12, arcs_a_half=9, arcs_a_turn=21)
+"""Of a surface with a lay."""
 
 
 def build(
@@ -147,6 +162,7 @@ def build(
     cut: float | None = None,
     states_cut_error: bool = True,
     phase_step: float = height_transform.PHASE_STEP,
+    lay_energy_nodes: EnergyNodes = LAY_ENERGY_NODES,
 ) -> xr.Dataset:
     """BSDF of a surface by wave optics, by facets with finer roughness, or by both in turn.
 
@@ -169,6 +185,7 @@ def build(
     states_cut_error : add ``cut_error``, how much the lobe depends on the cut: three more tables of the finer roughness, which no value of
         the BSDF needs
     phase_step : step of the logarithm of the phase variance in tables of the halo without a lay [1]
+    lay_energy_nodes : of integrals over the lobe of a surface with a lay
 
     Returns
     -------
@@ -238,7 +255,7 @@ def build(
     bsdf.attrs |= {"representation": Wave.name, **attributes}
     if optics != "composite":
         bsdf = bsdf.merge(halo_table(correlation, sigma, psd, given, _has_lay(psd, facets), phase_step))
-    bsdf = _with_albedo(bsdf, theta_m, psd)
+    bsdf = _with_albedo(bsdf, theta_m, psd, lay_energy_nodes if _has_azimuths(bsdf) else ENERGY_NODES)
     bsdf = _with_diffuse(bsdf, spectrum, theta_m)
     bsdf = vocabulary.add_warning(bsdf, *warnings, *_limits(bsdf, psd, correlation))
     return vocabulary.label(bsdf, "bsdf")
@@ -347,7 +364,7 @@ class Relief:
 
     def is_one_of_facets(self, wavelength: Array) -> bool:
         """Whether facets alone describe the surface up to :data:`LARGEST_INCIDENCE`."""
-        incidences = np.linspace(0.0, LARGEST_INCIDENCE, _INCIDENCES)
+        incidences = np.linspace(0.0, LARGEST_INCIDENCE, _SHARE_INCIDENCES)
         return not self.uses_fine and bool(self.share(incidences, wavelength).min() >= FACETS_ALONE)
 
 
@@ -481,21 +498,21 @@ def _cut(correlation: height_transform.Autocorrelation, sigma: float) -> float:
 # --- energy and the diffuse base
 
 
-def _with_albedo(bsdf: xr.Dataset, theta_m: float, psd: xr.Dataset) -> xr.Dataset:
+def _with_albedo(bsdf: xr.Dataset, theta_m: float, psd: xr.Dataset, nodes: EnergyNodes) -> xr.Dataset:
     """Add the reflectance of the surface, and what it misses of Fresnel's."""
     n, k, wavelength = (bsdf[name].values for name in ("n", "k", "wavelength"))
 
     def smooth(theta: Array) -> Array:
         return _smooth(theta, n, k)
 
-    surface, azimuths = RoughSurface.of(bsdf), _azimuths(bsdf)
-    theta = closure_nodes(_INCIDENCES if azimuths.size == 1 else _LAY_INCIDENCES)
+    surface, arcs = RoughSurface.of(bsdf), _arcs(bsdf, nodes)
+    azimuths, theta = _azimuths(bsdf, arcs.values), closure_nodes(nodes.incidences)
     if closed := surface.halo is not None and surface.halo.first_order is not None:
-        bsdf, unmatched, found = _with_closure(surface, bsdf, theta, psd)
+        bsdf, unmatched, found = _with_closure(surface, bsdf, theta, psd, nodes)
         surface = RoughSurface.of(bsdf)
-        scattered = _closed_scattered(surface, bsdf, theta, azimuths, found)
+        scattered = _closed_scattered(surface, bsdf, theta, azimuths, found, nodes)
     else:
-        scattered = _scattered(surface, bsdf, theta, azimuths)
+        scattered = _scattered(surface, bsdf, theta, azimuths, nodes)
     missing = smooth(theta)[:, None] * (1 - surface.coherent_share(theta[:, None], azimuths, wavelength)) - scattered
     waves = 1 - surface.facet_share(2 * np.cos(np.radians(theta)), wavelength)
     if not closed:
@@ -506,8 +523,8 @@ def _with_albedo(bsdf: xr.Dataset, theta_m: float, psd: xr.Dataset) -> xr.Datase
     elif azimuths.size == 1:
         table = energy.refined(smooth, _SMOOTH_SLOPE, np.array([0.0, theta_m, 90.0]))
     else:
-        nodes = np.unique(np.append(np.degrees(np.arccos(np.cos(np.linspace(0, np.pi / 2, 48)) ** 2)), theta_m))
-        table = AlbedoTable(nodes, smooth(nodes))
+        angles = np.unique(np.append(np.degrees(np.arccos(np.cos(np.linspace(0, np.pi / 2, 48)) ** 2)), theta_m))
+        table = AlbedoTable(angles, smooth(angles))
         around = arc_to_azimuth(ellipse_of(bsdf), np.arange(0.0, 360.0, _LAY_STEP))
         bsdf = bsdf.assign_coords(phi_i=np.sort(np.round(around, 9) % 360))
 
@@ -517,7 +534,7 @@ def _with_albedo(bsdf: xr.Dataset, theta_m: float, psd: xr.Dataset) -> xr.Datase
     returned, phi = between(scattered), np.zeros(1)
     if lay := "phi_i" in bsdf.coords:
         phi = bsdf["phi_i"].values
-        of_arcs = _between_azimuths(azimuth_to_arc(ellipse_of(bsdf), phi), *_arcs(bsdf))
+        of_arcs = _between_azimuths(azimuth_to_arc(ellipse_of(bsdf), phi), *arcs)
         returned = np.einsum("tal,pa->tpl", returned, of_arcs)
     smooth_reflects = table.values[:, None]
     coherent = smooth_reflects * surface.coherent_share(table.theta[:, None], phi, wavelength)
@@ -547,7 +564,7 @@ def _with_albedo(bsdf: xr.Dataset, theta_m: float, psd: xr.Dataset) -> xr.Datase
 
 
 def _with_closure(
-    surface: RoughSurface, bsdf: xr.Dataset, theta: Array, psd: xr.Dataset
+    surface: RoughSurface, bsdf: xr.Dataset, theta: Array, psd: xr.Dataset, nodes: EnergyNodes
 ) -> tuple[xr.Dataset, Array, list[Sums]]:
     """Add what closes the energy of coherent light and halo; the light that this leaves missing, (incidences, wavelength); and the integrals
     over the lobes of the incidences, without a lay.
@@ -557,9 +574,9 @@ def _with_closure(
     directions, N(θ_i)N(θ_o), with a lay N(θ_i, φ_i)N(θ_o, φ_o), is found by iteration.
     """
     wavelength, lay = bsdf["wavelength"].values, _has_azimuths(bsdf)
-    arcs = closure_arcs(_CLOSURE_ARCS if lay else 1)
-    azimuths = arc_to_azimuth(ellipse_of(bsdf), arcs) if lay else np.zeros(1)
-    few, directions = _few(wavelength, azimuths), _directions(bsdf, azimuths)
+    arcs = closure_arcs(nodes.closure_arcs)
+    azimuths = _azimuths(bsdf, arcs)
+    few, directions = _evenly(wavelength.size, nodes.wavelengths), _directions(bsdf, azimuths, nodes)
     many = _evenly(wavelength.size, _LAY_CLOSURE_WAVELENGTHS if lay else _CLOSURE_WAVELENGTHS, few)
     between = closure_nodes((theta.size - 1) * _BETWEEN_INCIDENCES + 1)
     integrals = _lobe_integrals(surface, bsdf, few, between.size * arcs.size)
@@ -648,11 +665,6 @@ def _height_variance(psd: xr.Dataset, sigma: float, change: Array) -> Array:
     return np.asarray((of_scan**2 + beyond) / max(sigma**2, 1e-300))
 
 
-def _few(wavelength: Array, azimuths: Array) -> NDArray[np.int64]:
-    """Numbers of the wavelengths at which is integrated."""
-    return _evenly(wavelength.size, _WAVELENGTHS if azimuths.size == 1 else _LAY_WAVELENGTHS)
-
-
 def _evenly(size: int, count: int, also: NDArray[np.int64] | None = None) -> NDArray[np.int64]:
     """Numbers of so many of all, evenly spread, and of others."""
     chosen = np.unique(np.linspace(0, size - 1, min(size, count)).round().astype(int))
@@ -669,7 +681,9 @@ def _between_wavelengths(values: Array, known: Array, wanted: Array) -> Array:
     return values if known.size == wanted.size else np.asarray(CubicSpline(known, values, axis=-1)(wanted))
 
 
-def _directions(bsdf: xr.Dataset, azimuths: Array) -> Callable[[float], Iterator[tuple[Array, Angles]]]:
+def _directions(
+    bsdf: xr.Dataset, azimuths: Array, nodes: EnergyNodes
+) -> Callable[[float], Iterator[tuple[Array, Angles]]]:
     """Weights and directions of an integral over the lobe, by azimuths of incidence, as a function of its angle [degree]."""
     if azimuths.size > 1:
         (along, across), lay = Wave.widths_of(bsdf), ellipse_of(bsdf).lay
@@ -680,10 +694,13 @@ def _directions(bsdf: xr.Dataset, azimuths: Array) -> Callable[[float], Iterator
         if azimuths.size == 1:
             # The rule covers one side of the plane of incidence.
             slope = min(slopes(0.0), slopes(theta_i))
-            turns = _TURNS if np.cos(np.radians(theta_i)) > _LONG_LOBE else 2 * _TURNS
-            rules = [hemisphere.around_mirror(theta_i, slope, order=_ORDER, turns=turns)]
+            turns = nodes.turns * (1 if np.cos(np.radians(theta_i)) > _LONG_LOBE else 2)
+            rules = [hemisphere.around_mirror(theta_i, slope, order=nodes.order, turns=turns)]
         else:
-            rules = [hemisphere.around_mirror_with_lay(theta_i, float(phi), along, across, lay) for phi in azimuths]
+            rules = [
+                hemisphere.around_mirror_with_lay(theta_i, float(phi), along, across, lay, nodes.order)
+                for phi in azimuths
+            ]
         for azimuth, (theta, phi, weight) in zip(azimuths, rules, strict=True):
             yield weight, (np.full_like(theta, theta_i), np.full_like(theta, azimuth), theta, phi)
 
@@ -709,10 +726,10 @@ def _with_energy_statement(bsdf: xr.Dataset, missing: Array, theta: Array) -> xr
     return vocabulary.add_warning(bsdf, f"{text}. {missed_light.advice(bsdf)}")
 
 
-def _scattered(surface: RoughSurface, bsdf: xr.Dataset, theta: Array, azimuths: Array) -> Array:
+def _scattered(surface: RoughSurface, bsdf: xr.Dataset, theta: Array, azimuths: Array, nodes: EnergyNodes) -> Array:
     """∫ f cos θ_o dω_o without coherent and diffuse light, (incidences, azimuths, wavelength)."""
     n, k, wavelength = (bsdf[name].values for name in ("n", "k", "wavelength"))
-    few, directions = _few(wavelength, azimuths), _directions(bsdf, azimuths)
+    few, directions = _evenly(wavelength.size, nodes.wavelengths), _directions(bsdf, azimuths, nodes)
     surface = surface.prepared_for(_count(directions, theta) * few.size)
     result = np.zeros((theta.size, azimuths.size, few.size))
     for row, angle in enumerate(np.minimum(theta, _NEARLY_GRAZING)):
@@ -722,12 +739,12 @@ def _scattered(surface: RoughSurface, bsdf: xr.Dataset, theta: Array, azimuths: 
 
 
 def _closed_scattered(
-    surface: RoughSurface, bsdf: xr.Dataset, theta: Array, azimuths: Array, found: list[Sums]
+    surface: RoughSurface, bsdf: xr.Dataset, theta: Array, azimuths: Array, found: list[Sums], nodes: EnergyNodes
 ) -> Array:
     """The same of a surface whose energy is closed; ``found`` are the integrals over its lobes, where they are known."""
     wavelength, closure, factor = bsdf["wavelength"].values, surface.closure, bsdf["halo_closure"]
     assert closure is not None
-    few, directions = _few(wavelength, azimuths), _directions(bsdf, azimuths)
+    few, directions = _evenly(wavelength.size, nodes.wavelengths), _directions(bsdf, azimuths, nodes)
     incidences, arcs = factor.shape[0], factor.shape[1] if factor.ndim == 3 else 1
     integrals = _lobe_integrals(surface, bsdf, few, incidences * arcs)
     # The light is linear in the factors of the outgoing directions.
@@ -752,18 +769,24 @@ def _of_all_wavelengths(values: Array, bsdf: xr.Dataset, theta: Array, few: NDAr
     return _between_wavelengths(values / smooth[..., few], wavelength[few], wavelength) * smooth
 
 
-def _arcs(bsdf: xr.Dataset) -> tuple[Array, float]:
-    """Arcs at which the reflectance of a surface with a lay is integrated, and the part of a turn that they cover [degree].
+class _Arcs(NamedTuple):
+    """Arcs at which the reflectance of a surface with a lay is integrated."""
 
-    The halo is the same after half a turn. The slopes of a scan are not, and near grazing incidence that shows.
-    """
-    count, period = (_ARCS_A_TURN, 360.0) if "slope_along" in bsdf.coords else (_ARCS_A_HALF, 180.0)
-    return np.arange(count) * period / count, period
+    values: Array
+    """[degree]"""
+    period: float
+    """Part of a turn that they cover [degree]"""
 
 
-def _azimuths(bsdf: xr.Dataset) -> Array:
-    """Azimuths of incidence at which the reflectance is integrated [degree]; one for a surface without a lay."""
-    return arc_to_azimuth(ellipse_of(bsdf), _arcs(bsdf)[0]) if _has_azimuths(bsdf) else np.zeros(1)
+def _arcs(bsdf: xr.Dataset, nodes: EnergyNodes) -> _Arcs:
+    """Of half a turn, after which the halo is the same. The slopes of a scan are not, and near grazing incidence that shows."""
+    count, period = (nodes.arcs_a_turn, 360.0) if "slope_along" in bsdf.coords else (nodes.arcs_a_half, 180.0)
+    return _Arcs(np.arange(count) * period / count, period)
+
+
+def _azimuths(bsdf: xr.Dataset, arcs: Array) -> Array:
+    """Azimuths of incidence of arcs [degree]; one for a surface without a lay."""
+    return arc_to_azimuth(ellipse_of(bsdf), arcs) if _has_azimuths(bsdf) else np.zeros(1)
 
 
 def _has_azimuths(bsdf: xr.Dataset) -> bool:
