@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from bisect import bisect_left
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 from typing import TYPE_CHECKING, Any
 
@@ -45,6 +45,7 @@ from brdfpipe.bsdf.wave.roughness import roughness
 from brdfpipe.bsdf.wave.two_scale import (
     FACETS_ALONE,
     Angles,
+    EnergyClosure,
     RoughSurface,
     characteristic_function,
     closure_arc_place,
@@ -486,7 +487,7 @@ def _with_albedo(bsdf: xr.Dataset, theta_m: float, psd: xr.Dataset) -> xr.Datase
     theta = closure_nodes(_INCIDENCES if azimuths.size == 1 else _LAY_INCIDENCES)
     if closed := surface.halo is not None and surface.halo.first_order is not None:
         bsdf, unmatched, found = _with_closure(surface, bsdf, theta, psd)
-        surface = RoughSurface.of(bsdf)
+        surface = replace(surface, closure=EnergyClosure.of(bsdf))
         scattered = _closed_scattered(surface, bsdf, theta, azimuths, found)
     else:
         scattered = _scattered(surface, bsdf, theta, azimuths)
