@@ -58,7 +58,7 @@ from brdfpipe.bsdf.wave.two_scale import (
 )
 from brdfpipe.facets.facet_dataset import azimuthal_average
 from brdfpipe.facets.radial_density import RadialDensity
-from brdfpipe.facets.scaling import scaled
+from brdfpipe.facets.scaling import scaled, scaled_surface
 from brdfpipe.geometry import Array
 from brdfpipe.masking.modes import HALOS, MASKING_ADVISED, MULTIPLE_SCATTERING_ADVISED, SMITH_ERROR, WAVE_OPTICS
 from brdfpipe.optics.fresnel_equations import fresnel
@@ -456,7 +456,7 @@ def _cut_error(
     lobes = []
     for factor in (1.0, CUT_FACTOR, 1 / CUT_FACTOR):
         other = Relief.of(correlation, sigma, psd, "composite", relief.cut * factor, facets)
-        changed = scaled(facets, other.slope_factor / relief.slope_factor)
+        changed = scaled_surface(facets, other.slope_factor / relief.slope_factor)
         table = _fine_table(other, RadialDensity.of(changed), wavelength, _ROUGH_STEP).assign(sigma=other.fine_sigma)
         table.attrs = {"form": "ssa1", "spectrum": "measured"}
         lobes.append(mirror_lobe(Microsurface.of(changed), Halo.of(table), angles, wavelength).reshape(view.shape))
