@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from brdfpipe import facets, vocabulary
 from brdfpipe.bsdf.microfacet.microsurface import Microsurface
+from brdfpipe.facets.scaling import scaled_surface
 from brdfpipe.geometry import half_vector
 
 
@@ -94,3 +95,10 @@ def test_flat_facets_stay_flat():
 def test_an_invalid_scale_factor_is_refused(factor):
     with pytest.raises(facets.FacetError, match="accepted: a factor above 0"):
         facets.scaled(facets.analytic("beckmann", 0.1), factor)
+
+
+def test_the_surface_alone_is_scaled_as_all_facets_are():
+    start = facets.analytic("ggx", 0.2)
+    alone, scaled = scaled_surface(start, 0.7), facets.scaled(start, 0.7)
+    for name in alone.variables:
+        np.testing.assert_array_equal(alone[name], scaled[name], err_msg=name)

@@ -58,6 +58,20 @@ def scaled(facets: xr.Dataset, factor: float) -> xr.Dataset:
     return vocabulary.label(facets.assign(fields).assign_coords(coordinates), "facets")
 
 
+def scaled_surface(facets: xr.Dataset, factor: float) -> xr.Dataset:
+    """Slope density and masking alone of isotropic facets scaled by a factor, which take a fraction of the time of :func:`scaled`."""
+    return xr.Dataset(
+        {
+            "slope_density": ("slope", facets["slope_density"].values * factor**-2),
+            "lambda_smith": ("theta", facets["lambda_smith"].values),
+        },
+        {
+            "slope": facets["slope"].values * factor,
+            "theta": _scaled_tilt(facets["theta"].values, 1 / factor),
+        },
+    )
+
+
 def _scaled_axis(slope: xr.DataArray, factor: float) -> tuple[str, Array, dict[str, float]]:
     """Scaled slopes of an axis, with its ``scale`` if it has one."""
     scale = {"scale": float(slope.attrs["scale"]) * factor} if "scale" in slope.attrs else {}

@@ -5,6 +5,7 @@ from __future__ import annotations
 import mpmath
 import numpy as np
 import pytest
+from scipy.fft import fht, fhtoffset
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import map_coordinates
 from scipy.special import j0
@@ -161,3 +162,11 @@ _OF_TABLE = ("log_halo", "phase_variance", "halo_frequency", "frequency_scale")
 
 def _panels(edges, order):
     return (part.ravel() for part in hemisphere.panel_rule(edges, order))
+
+
+def test_the_hankel_transform_is_that_of_scipy():
+    step, values = 0.01, np.random.default_rng(1).normal(size=(3, 512))
+    offset = fhtoffset(step, mu=0.0)
+    np.testing.assert_allclose(
+        height_transform.hankel_transform(values, step, offset), fht(values, step, 0.0, offset=offset), atol=1e-12
+    )

@@ -30,6 +30,9 @@ _LEAST_COSINE = 1e-150  # avoids division by 0 at the horizon
 _INTERPOLATION_ERROR = 2e-9  # of the albedo between the nodes of its table
 _TRACED_ERROR = 1e-6  # the same with traced visibility, whose table has kinks that the quadrature resolves no better
 _NOISE = 1e-9  # of the quadrature, by which the table is raised in any case
+_FEW_INDICES = 4  # that are evaluated one by one
+_SERIES_LENGTHS = 28, 36, 48, 64, 96, 128  # numbers of coefficients that are tried for the reflectance over the cosine
+_SERIES_TAIL, _SERIES_ERROR = 4, 1e-13  # last coefficients that are left out, and up to what size relative to the first
 _MANY_FACETS = 2**16  # of all incidences together, for which compiled code is loaded
 _CLOSEST_TO_METAL = 1e70  # index up to which that code computes the reflectance
 _MOST_NODES = 400  # of an isotropic table
@@ -101,22 +104,40 @@ def _is_worth_compiling(surface: Microsurface, masking: str, n: Array, incidence
 
 
 def _compiled_albedo(surface: Microsurface, masking: str, n: Array, k: Array, theta_i: Array, panels: int) -> Array:
-    """Directional albedo of an isotropic surface, (incidences, wavelength + 1), at θ [rad]; last of perfect mirrors."""
+    """Directional albedo of an isotropic surface, (incidences, wavelength + 1), at θ [rad]; last of perfect mirrors.
+
+    Of many indices the sum over the facets is one over polynomials, at the same cost for any number of them.
+    """
     from brdfpipe.bsdf.microfacet import evaluation_kernel
 
     assert isinstance(surface.density, RadialDensity)
     rule = _slope_rule(surface.density, theta_i, None, panels)
     azimuths = panel_rule(np.array([0.0, 1.0]), _AZIMUTHS)
     tables = evaluation_kernel.FacetTables.of(surface, masking)
-    mirrors = np.empty(theta_i.size)
+    pairs, where = np.unique(np.stack(np.broadcast_arrays(n, k)), axis=1, return_inverse=True)
+    series = _series_of_reflectance(*pairs) if pairs.shape[1] > _FEW_INDICES else None
+    if series is None and pairs.size:
+        sums = evaluation_kernel.sum_over_facets(tables, theta_i, *rule, azimuths, (pairs[0], pairs[1]))
+        return np.concatenate([sums[:, 1:][:, where.ravel()], sums[:, :1]], axis=1)
+    orders = 1 if series is None else series.shape[0]
+    sums = evaluation_kernel.sum_over_facets(tables, theta_i, *rule, azimuths, None, orders)
+    return sums if series is None else np.concatenate([(sums @ series)[:, where.ravel()], sums[:, :1]], axis=1)
 
-    def reflected(n: Array, k: Array) -> Array:
-        light = evaluation_kernel.sum_over_facets(tables, theta_i, *rule, azimuths, n, k)
-        mirrors[:] = light[:, 0]
-        return light[:, 1:]
 
-    of_material = _spectral_sum(reflected, n, k) if n.size else reflected(n, k)
-    return np.concatenate([of_material, mirrors[:, None]], axis=1)
+def _series_of_reflectance(n: Array, k: Array) -> Array | None:
+    """Coefficients (orders, index) of Fresnel's reflectance as a series of Chebyshev's polynomials of 2 cos ζ − 1.
+
+    It is analytic about the cosines from 0 to 1, so that the coefficients fall exponentially. None where they do not fall fast, of an index
+    near 1 and of nearly perfect mirrors.
+    """
+    for count in _SERIES_LENGTHS:
+        turn = np.pi * (np.arange(count) + 0.5) / count
+        values = fresnel((np.cos(turn)[:, None] + 1) / 2, n, k).mean
+        coefficients = np.cos(np.arange(count)[:, None] * turn) @ values * (2 / count)
+        coefficients[0] /= 2
+        if np.all(np.abs(coefficients[-_SERIES_TAIL:]) <= _SERIES_ERROR * np.abs(coefficients[0])):
+            return np.asarray(coefficients[:-_SERIES_TAIL])
+    return None
 
 
 def _isotropic_facets(

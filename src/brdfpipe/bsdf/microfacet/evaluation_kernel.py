@@ -38,6 +38,7 @@ from brdfpipe.masking.visibility import VisibilityRatio
 from brdfpipe.piecewise import PiecewiseCubic
 
 _BLOCK = 512  # directions that are evaluated together
+_SUMMED = 84  # partial sums of an integral, so that the compiler adds several numbers at once
 _ROWS = 20  # numbers of each direction in the work space
 _ROUNDER = 6755399441055744.0  # 1.5 × 2⁵²: adding and subtracting it rounds to an integer, whose bits are the lowest of the sum
 _LOG_2_HIGH, _LOG_2_LOW = 6.93147180369123816490e-01, 1.90821492927058770002e-10
@@ -594,18 +595,27 @@ def _mirrors(pair: Pair, density: Array, excess_i: Array, excess_o: Array, separ
 def _isotropic_mirrors(
     pair: Pair, work: Rows, count: int, tables: IsotropicTables | FacetTables, mirrors: Array
 ) -> None:
-    logarithm, excess_i, excess_o = work[0], work[1], work[2]
-    _values(pair[0], tables.log_density, logarithm)
+    density = work[0]
+    _values(pair[0], tables.log_density, density)
+    for j in range(mirrors.size):
+        density[j] = _exponential(density[j]) if pair[0][j] <= tables.log_density.last else 0.0
+    _mirrors_of_density(pair, work, count, tables, mirrors)
+
+
+@compiled
+def _mirrors_of_density(
+    pair: Pair, work: Rows, count: int, tables: IsotropicTables | FacetTables, mirrors: Array
+) -> None:
+    """The same of known P22, the first row of the work space."""
+    density, excess_i, excess_o = work[0], work[1], work[2]
     for j in range(mirrors.size):
         excess_i[j], excess_o[j] = pair[2][j] / pair[3][j], pair[4][j] / pair[5][j]
     _values(excess_i[:count], tables.excess, excess_i)
     _values(excess_o, tables.excess, excess_o)
     _spread(excess_i, count)
-    for j in range(mirrors.size):
-        logarithm[j] = _exponential(logarithm[j]) if pair[0][j] <= tables.log_density.last else 0.0
-    _mirrors(pair, logarithm, excess_i, excess_o, tables.separable, mirrors)
+    _mirrors(pair, density, excess_i, excess_o, tables.separable, mirrors)
     if tables.visibility.log_ratio.size:
-        _limit_visibility(pair, (logarithm, excess_i, excess_o, *work[3:7]), tables.visibility, mirrors)
+        _limit_visibility(pair, (density, excess_i, excess_o, *work[3:7]), tables.visibility, mirrors)
 
 
 @compiled
@@ -1237,51 +1247,94 @@ def _sum_over_facets(
     tables: FacetTables,
     n: Array,
     k: Array,
-    absorbs: bool,
     sums: Array,
 ) -> None:
-    together = _BLOCK // azimuths.shape[1]
-    space = np.empty((_ROWS, _BLOCK))
+    turns, orders, absorbs = azimuths.shape[1], sums.shape[1], bool(k.any())
+    together = _BLOCK // turns
+    space, of_slope = np.empty((_ROWS, _BLOCK)), np.empty((2, together))
+    parts = np.empty((orders, _SUMMED))
     for row in range(theta_i.size):
         cosine, sin_i = math.cos(theta_i[row]), math.sin(theta_i[row])
         cos_i = _at_least(cosine, _LEAST)
+        parts[:] = 0.0
         for start in range(0, slope.shape[1], together):
-            end = min(start + together, slope.shape[1])
-            rows = _rows(space, (end - start) * azimuths.shape[1])
+            count = min(together, slope.shape[1] - start)
+            rows = _rows(space, count * turns)
             pair, mirrors, work, light = rows[:7], rows[7], rows[8:19], rows[19]
-            at = 0
-            for place in range(start, end):
-                s, open_range = slope[row, place], math.pi - first[row, place]
-                u = s * s
-                weight = 8 * slope_weight[row, place] * s * open_range / ((1 + u) * (1 + u))
-                for turn in range(azimuths.shape[1]):
-                    cos_turn = math.cos(first[row, place] + open_range * azimuths[0, turn])
-                    facing = _at_least(cosine - s * cos_turn * sin_i, 0.0)
-                    cos_o = _at_most(_at_least(2 * facing / (1 + u) - cosine, _LEAST), 1.0)
-                    pair[0][at], pair[1][at] = u, _at_most(facing / math.sqrt(1 + u), 1.0)
-                    pair[2][at], pair[3][at] = cos_i, sin_i
-                    pair[4][at], pair[5][at] = cos_o, math.sqrt((1 - cos_o) * (1 + cos_o))
-                    light[at] = weight * azimuths[1, turn] * cos_o * facing
-                    at += 1
-            _isotropic_mirrors(pair, work, 1, tables, mirrors)
-            total = 0.0
+            squares, densities = of_slope[0, :count], of_slope[1, :count]
+            for place in range(count):
+                squares[place] = slope[row, start + place] * slope[row, start + place]
+            _values(squares, tables.log_density, densities)
+            for place in range(count):
+                u, open_range = squares[place], math.pi - first[row, start + place]
+                s, begin = slope[row, start + place], first[row, start + place]
+                density = _exponential(densities[place]) if u <= tables.log_density.last else 0.0
+                weight = 8 * slope_weight[row, start + place] * s * open_range / ((1 + u) * (1 + u))
+                over, root = 1 / (1 + u), 1 / math.sqrt(1 + u)
+                at = place * turns
+                for turn in range(turns):
+                    # cos 2x = −sin 2y = −2 sin y cos y of y = x − π/4, for angles 2x up to π.
+                    sine, other = _sine_cosine((begin + open_range * azimuths[0, turn] - math.pi / 2) * 0.5)
+                    facing = _at_least(cosine + 2 * s * sin_i * (sine * other), 0.0)
+                    cos_o = _at_most(_at_least(2 * facing * over - cosine, _LEAST), 1.0)
+                    pair[0][at + turn], pair[1][at + turn] = u, _at_most(facing * root, 1.0)
+                    pair[2][at + turn], pair[3][at + turn] = cos_i, sin_i
+                    pair[4][at + turn], pair[5][at + turn] = cos_o, math.sqrt((1 - cos_o) * (1 + cos_o))
+                    work[0][at + turn] = density
+                    light[at + turn] = weight * azimuths[1, turn] * cos_o * facing
+            _mirrors_of_density(pair, work, 1, tables, mirrors)
             for j in range(light.size):
                 light[j] *= mirrors[j]
-                total += light[j]
-            sums[row, 0] += total
-            # Many products at once, then their sum in order, which the compiler may not change.
-            reflected = work[0]
-            for w in range(n.size):
-                total = 0.0
-                if absorbs:
-                    for j in range(light.size):
-                        reflected[j] = light[j] * _absorbing(pair[1][j], n[w], k[w])
-                else:
-                    for j in range(light.size):
-                        reflected[j] = light[j] * _transparent(pair[1][j], n[w])
-                for j in range(light.size):
-                    total += reflected[j]
-                sums[row, 1 + w] += total
+            if n.size:
+                _add_reflected(light, pair[1], n, k, absorbs, parts)
+            else:
+                _add_moments(light, pair[1], work[0], work[1], work[2], parts)
+        for order in range(orders):
+            total = 0.0
+            for j in range(_SUMMED):
+                total += parts[order, j]
+            sums[row, order] = total
+
+
+@compiled
+def _add_reflected(light: Array, cosine: Array, n: Array, k: Array, absorbs: bool, parts: Array) -> None:
+    """Add light, and light times the reflectance of each index, to sums (1 + index, partial sums)."""
+    for start in range(0, light.size, _SUMMED):
+        size = min(_SUMMED, light.size - start)
+        l_0, c, total = light[start : start + size], cosine[start : start + size], parts[0, :size]
+        for j in range(size):
+            total[j] += l_0[j]
+        for w in range(n.size):
+            total = parts[w + 1, :size]
+            if absorbs:
+                for j in range(size):
+                    total[j] += l_0[j] * _absorbing(c[j], n[w], k[w])
+            else:
+                for j in range(size):
+                    total[j] += l_0[j] * _transparent(c[j], n[w])
+
+
+@compiled
+def _add_moments(light: Array, cosine: Array, x: Array, before: Array, last: Array, parts: Array) -> None:
+    """Add light times Chebyshev's polynomials of 2c − 1 to sums (orders, partial sums), which the compiler adds up side by side.
+
+    The other arrays are work space.
+    """
+    for j in range(light.size):
+        x[j] = 2 * cosine[j] - 1
+        before[j], last[j] = 1.0, x[j]
+    for start in range(0, light.size, _SUMMED):
+        size = min(_SUMMED, light.size - start)
+        l_0, x_0 = light[start : start + size], x[start : start + size]
+        t_0, t_1 = before[start : start + size], last[start : start + size]
+        for order in range(0, parts.shape[0], 2):
+            even, odd = parts[order, :size], parts[order + 1, :size]
+            for j in range(size):
+                a, b = t_0[j], t_1[j]
+                even[j] += l_0[j] * a
+                odd[j] += l_0[j] * b
+                a = 2 * x_0[j] * b - a
+                t_0[j], t_1[j] = a, 2 * x_0[j] * a - b
 
 
 def sum_over_facets(
@@ -1291,10 +1344,12 @@ def sum_over_facets(
     slope_weight: Array,
     first: Array,
     azimuths: tuple[Array, Array],
-    n: Array,
-    k: Array,
+    index: tuple[Array, Array] | None,
+    orders: int = 0,
 ) -> Array:
-    """Directional albedo of the facets of an isotropic surface, (θ, 1 + index): as perfect mirrors, and of each index.
+    """Light that the facets of an isotropic surface reflect as perfect mirrors and of each index, (θ, 1 + index).
+
+    Without an index it is light of perfect mirrors times Chebyshev's polynomials of 2 cos ζ − 1, (θ, orders), the first of which is 1.
 
     Parameters
     ----------
@@ -1303,11 +1358,13 @@ def sum_over_facets(
     slope, slope_weight : (θ, S) slopes of a quadrature and their weights
     first : (θ, S) azimuth [rad] from which on, to π, a facet mirrors the light upwards
     azimuths : nodes and weights (B,) of a quadrature from 0 to 1 for that range
-    n, k : (index,) with n >= 1 or k > 0
+    index : n and k (index,) with n >= 1 or k > 0
+    orders : number of polynomials
     """
-    sums = np.zeros((theta_i.size, 1 + n.size))
-    _sum_over_facets(theta_i, slope, slope_weight, first, np.stack(azimuths), tables, n, k, bool(k.any()), sums)
-    return sums
+    n, k = (np.empty(0), np.empty(0)) if index is None else (np.ascontiguousarray(part, dtype=float) for part in index)
+    sums = np.zeros((theta_i.size, 1 + n.size if n.size else orders + orders % 2))
+    _sum_over_facets(theta_i, slope, slope_weight, first, np.stack(azimuths), tables, n, k, sums)
+    return sums if n.size else sums[:, :orders]
 
 
 def further_light(table: FurtherLight, angles: Sequence[Array], width: int) -> Array:

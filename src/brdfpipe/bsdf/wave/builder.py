@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from bisect import bisect_left
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -45,6 +45,7 @@ from brdfpipe.bsdf.wave.roughness import roughness
 from brdfpipe.bsdf.wave.two_scale import (
     FACETS_ALONE,
     Angles,
+    EnergyClosure,
     RoughSurface,
     characteristic_function,
     closure_arc_place,
@@ -57,7 +58,7 @@ from brdfpipe.bsdf.wave.two_scale import (
 )
 from brdfpipe.facets.facet_dataset import azimuthal_average
 from brdfpipe.facets.radial_density import RadialDensity
-from brdfpipe.facets.scaling import scaled
+from brdfpipe.facets.scaling import scaled, scaled_surface
 from brdfpipe.geometry import Array
 from brdfpipe.masking.modes import HALOS, MASKING_ADVISED, MULTIPLE_SCATTERING_ADVISED, SMITH_ERROR, WAVE_OPTICS
 from brdfpipe.optics.fresnel_equations import fresnel
@@ -478,7 +479,7 @@ def _cut_error(
     lobes = []
     for factor in (1.0, CUT_FACTOR, 1 / CUT_FACTOR):
         other = Relief.of(correlation, sigma, psd, "composite", relief.cut * factor, facets)
-        changed = scaled(facets, other.slope_factor / relief.slope_factor)
+        changed = scaled_surface(facets, other.slope_factor / relief.slope_factor)
         table = _fine_table(other, RadialDensity.of(changed), wavelength, _ROUGH_STEP).assign(sigma=other.fine_sigma)
         table.attrs = {"form": "ssa1", "spectrum": "measured"}
         lobes.append(mirror_lobe(Microsurface.of(changed), Halo.of(table), angles, wavelength).reshape(view.shape))
@@ -509,7 +510,7 @@ def _with_albedo(bsdf: xr.Dataset, theta_m: float, psd: xr.Dataset, nodes: Energ
     azimuths, theta = _azimuths(bsdf, arcs.values), closure_nodes(nodes.incidences)
     if closed := surface.halo is not None and surface.halo.first_order is not None:
         bsdf, unmatched, found = _with_closure(surface, bsdf, theta, psd, nodes)
-        surface = RoughSurface.of(bsdf)
+        surface = replace(surface, closure=EnergyClosure.of(bsdf))
         scattered = _closed_scattered(surface, bsdf, theta, azimuths, found, nodes)
     else:
         scattered = _scattered(surface, bsdf, theta, azimuths, nodes)

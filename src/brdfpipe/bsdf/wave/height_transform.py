@@ -17,15 +17,17 @@ Beckmann & Spizzichino 1963, §5.3; Hamilton 2000, Mon. Not. R. Astron. Soc. 312
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import lru_cache
 from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
-from scipy.fft import fht, fhtoffset
+from numpy.typing import NDArray
+from scipy.fft import fhtoffset, irfft, rfft
 from scipy.ndimage import spline_filter1d
 from scipy.optimize import brentq
-from scipy.special import expit, gammaln, kv
+from scipy.special import expit, gammaln, kv, loggamma
 
 from brdfpipe.geometry import Array
 
@@ -307,7 +309,7 @@ def _by_hankel_transform(
     values = np.empty((phase.size, frequency.size))
 
     def transformed(function: Array) -> Array:
-        return np.asarray(2 * np.pi * fht(function, step, 0.0, offset=offset)[:, inside] / wave_number[inside])
+        return 2 * np.pi * hankel_transform(function, step, offset)[:, inside] / wave_number[inside]
 
     in_series = int((phase <= _SERIES_PHASE).sum()) if coarse is None else 0
     if in_series <= _SERIES_ORDERS.size:
@@ -321,11 +323,11 @@ def _by_hankel_transform(
             weight = np.exp((_SERIES_ORDERS - 1) * np.log(g) - g - gammaln(_SERIES_ORDERS + 1))
             total = weight @ of_orders
         else:
-            higher = _higher_orders(g, rho)
-            if coarse is not None:
-                higher = (higher + np.exp(-g) * (g * rho)) * np.stack(
-                    [coarse(distance, float(np.sqrt(one))) for one in phase[rows]]
-                )
+            if coarse is None:
+                higher = _higher_orders(g, rho)
+            else:
+                slopes = np.stack([coarse(distance, float(np.sqrt(one))) for one in phase[rows]])
+                higher = (_higher_orders(g, rho) + np.exp(-g) * (g * rho)) * slopes
             total = transformed(higher * distance) / g
         if coarse is None:
             total = np.exp(-g) * first_order + np.maximum(total, 0.0)
@@ -377,6 +379,21 @@ def _autocorrelation(correlation: Autocorrelation, distance: Array) -> Array:
     step = float(np.log(distance[1] / distance[0]))
     offset = fhtoffset(step, mu=0.0, bias=0.0)
     frequency = np.exp(offset) / (2 * np.pi * distance[::-1])
-    transformed = fht(correlation.spectrum(frequency) * frequency, step, 0.0, offset=offset)
-    rho = np.asarray(transformed) / distance
+    rho = hankel_transform(correlation.spectrum(frequency) * frequency, step, offset) / distance
     return np.clip(rho, -1.0, 1.0)
+
+
+def hankel_transform(values: Array, step: float, offset: float) -> Array:
+    """As :func:`scipy.fft.fht` of order 0, (…, nodes), whose coefficients take as long as many transforms."""
+    coefficients = _hankel_coefficients(values.shape[-1], step, offset)
+    return np.asarray(irfft(rfft(values) * coefficients, values.shape[-1])[..., ::-1])
+
+
+@lru_cache(16)
+def _hankel_coefficients(nodes: int, step: float, offset: float) -> NDArray[np.complex128]:
+    """Of an even number of nodes: 2^(2iy) Γ(½ + iy)/Γ(½ − iy) at the wave numbers y of their transform (Hamilton 2000, eq. B18)."""
+    y = np.linspace(0.0, np.pi * (nodes // 2) / (nodes * step), nodes // 2 + 1)
+    coefficients: NDArray[np.complex128] = np.exp(2j * (loggamma(0.5 + 1j * y).imag + y * (np.log(2) - offset)))
+    # The last one stands for both signs.
+    coefficients[-1] = coefficients[-1].real
+    return coefficients

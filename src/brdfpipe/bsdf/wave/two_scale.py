@@ -28,7 +28,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
-from scipy.fft import fht, fhtoffset
+from scipy.fft import fhtoffset
 from scipy.ndimage import map_coordinates
 
 from brdfpipe.bsdf.coupled_base import ellipse_of
@@ -39,6 +39,7 @@ from brdfpipe.bsdf.microfacet.model import MANY_VALUES
 from brdfpipe.bsdf.representations.microfacet import OF_FACETS, Microfacet
 from brdfpipe.bsdf.spectral import OnlyOnce, each_time, only_once
 from brdfpipe.bsdf.wave.halo import Azimuths, Halo, amplitudes, polarisation_factor
+from brdfpipe.bsdf.wave.height_transform import hankel_transform
 from brdfpipe.facets.planar_density import Ellipse
 from brdfpipe.facets.radial_density import RadialDensity
 from brdfpipe.geometry import Array, HalfVector, half_vector
@@ -123,7 +124,7 @@ def characteristic_function(density: RadialDensity) -> Callable[[Array], Array]:
     slope = density.median_slope * np.exp(index * step)
     values = density(slope**2)
     t = np.exp(index * step + offset) / density.median_slope
-    transformed = 2 * np.pi * np.asarray(fht(values * slope, step, 0.0, offset=offset)) / t
+    transformed = 2 * np.pi * hankel_transform(values * slope, step, offset) / t
     log_t, limited = np.log(t), np.clip(transformed / density.mass, -1.0, 1.0)
     return lambda at: np.interp(np.log(np.maximum(at, 1e-300)), log_t, limited, left=1.0, right=0.0)
 
