@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -18,10 +19,13 @@ from brdfpipe.bsdf.microfacet import evaluation_kernel as kernel
 from brdfpipe.bsdf.microfacet import model
 from brdfpipe.bsdf.microfacet.anisotropic_quadrature import axis_ratio, azimuth_to_arc
 from brdfpipe.bsdf.microfacet.builder import build
+from brdfpipe.bsdf.microfacet.microsurface import Microsurface
 from brdfpipe.bsdf.microfacet.model import Model
 from brdfpipe.bsdf.microfacet.second_reflection import with_second_reflection
 from brdfpipe.bsdf.registry import representation
 from brdfpipe.facets.planar_density import Ellipse
+from brdfpipe.geometry import half_vector
+from brdfpipe.masking.visibility import VisibilityRatio
 from brdfpipe.optics.fresnel_equations import fresnel
 
 COUNT = 1500
@@ -360,3 +364,17 @@ def test_a_uniform_surface_is_the_spline_between_its_nodes():
     rows = tuple(np.empty((9, x.size)))
     kernel._uniform_values(np.clip(column, 0, 11), np.clip(row, 0, 8), surface.coefficients, rows, values)
     np.testing.assert_allclose(values, spline.ev(x, y), rtol=1e-12, atol=1e-13)
+
+
+@pytest.mark.parametrize("masking", ["height-correlated", "separable", "measured"])
+def test_visible_mirrors_are_those_of_numpy(masking):
+    random = np.random.default_rng(3)
+    ratio = VisibilityRatio(
+        np.log(random.uniform(0.7, 1.4, (9, 8, 7))), (0.96, 2.0), np.array([0.0, 0.5, 1.0]), random.random(3)
+    )
+    surface = replace(Microsurface.of(facets.analytic("ggx", 0.3)), ratio=ratio)
+    theta, phi = np.degrees(np.arccos(random.uniform(0.01, 1, (2, 700)))), random.uniform(0, 360, (2, 700))
+    pair = half_vector(theta[0], phi[0], theta[1], phi[1])
+    found = kernel.visible_mirrors(kernel.FacetTables.of(surface, masking), pair)
+    expected = surface.mirrors(pair, surface.visibility(pair, *phi, masking), *phi) / surface.p22(pair, *phi)
+    np.testing.assert_allclose(found, expected, rtol=1e-11)

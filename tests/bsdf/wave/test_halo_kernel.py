@@ -61,6 +61,16 @@ def test_the_reflectance_is_that_of_fresnel(k):
     )
 
 
+@pytest.mark.parametrize("slope", [0.1, 0.3, 0.5])
+def test_the_compiled_share_of_facets_is_that_of_numpy(slope):
+    surface = RoughSurface(halo("ssa1", None), None, 0.3, slope, passage=10.0)
+    cosines, wavelength = np.append(np.linspace(1e-6, 2.0, 50), 1e-12), np.array([400.0, 550.0, 700.0])
+    found = halo_kernel.facet_share(surface.passage_of_pairs, cosines, wavelength)
+    expected = two_scale.facet_share_at(0.3, slope, 10.0, cosines, wavelength)
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-14)
+    assert 0 == found.min() < found.max() == 1
+
+
 def test_compiled_half_vectors_are_those_of_numpy():
     angles = directions()
     for name, found, expected in zip(

@@ -1367,6 +1367,31 @@ def sum_over_facets(
     return sums if n.size else sums[:, :orders]
 
 
+@compiled
+def _visible_mirrors(whole: Pair, tables: FacetTables, out: Array) -> None:
+    space = np.empty((_ROWS, _BLOCK))
+    one, two, three, four, five, six = whole
+    for start in range(0, out.size, _BLOCK):
+        end = min(start + _BLOCK, out.size)
+        rows = _rows(space, end - start)
+        work = rows[8:]
+        work[0][:] = 1.0
+        for j in range(end - start):
+            at = start + j
+            rows[0][j], rows[1][j], rows[2][j], rows[3][j] = one[at], two[at], three[at], four[at]
+            rows[4][j], rows[5][j] = five[at], six[at]
+        _mirrors_of_density(rows[:7], work, end - start, tables, rows[7])
+        for j in range(end - start):
+            out[start + j] = rows[7][j]
+
+
+def visible_mirrors(tables: FacetTables, pair: HalfVector) -> Array:
+    """(1 + s²)² G2 / (4 cos θ_i cos θ_o), (directions,): the BRDF of perfectly mirroring facets over P22 at their slope s [sr-1]."""
+    result = np.empty(pair.cos_o.size)
+    _visible_mirrors(tuple(np.ascontiguousarray(part, dtype=float) for part in pair), tables, result)
+    return result
+
+
 def further_light(table: FurtherLight, angles: Sequence[Array], width: int) -> Array:
     """BRDF of the light that facets reflect more than once [sr-1], (directions, width); arguments as for :func:`evaluate`."""
     theta_i, phi_i, theta_o, phi_o = (_read_only(angle) for angle in angles)

@@ -496,28 +496,14 @@ def _several_reflections(surface: Microsurface, theta: Array, pairs: Array) -> l
     normal = np.stack([-p, -q, np.ones_like(p)], axis=-1) / area[..., None]
     stokes = reflection_of_stokes(pairs)
     sums = np.zeros((2, theta.size, 1 + pairs.shape[1]))
+    cosines, steps = np.empty((2, 3, _PATHS))
+    weight, turns = np.empty((2, _PATHS)), np.empty((2, 2, _PATHS))
     for row, incidence in enumerate(np.radians(theta)):
-        towards = np.tile([np.sin(incidence), 0.0, np.cos(incidence)], (_PATHS, 1))
-        weight, cosines, steps = np.ones(_PATHS), [], []
-        # The frame of each facet: s, and the direction of the light × s.
-        frames: list[tuple[Array, Array]] = []
-        turns = []
-        for facet in range(3):
-            cosine = np.einsum("nk,nk->n", towards, normal[facet])
-            weight *= np.maximum(cosine, 0.0) * area[facet]
-            cosines.append(np.clip(cosine, 0.0, 1.0))
-            across = np.cross(normal[facet], towards)
-            across /= np.maximum(np.linalg.norm(across, axis=1, keepdims=True), _LEAST)
-            if frames:
-                turns.append([np.sum(axis * across, axis=1) for axis in frames[-1]])
-            leaving = 2 * cosine[:, None] * normal[facet] - towards
-            frames.append((across, np.cross(leaving, across)))
-            steps.append(leaving[:, 2])
-            towards = -leaving
-            if facet > 0:
-                seen = weight * (steps[-1] > 0) * _height_factor(surface, np.degrees(incidence), *steps)
-                polarised = np.array(turns), stokes, sums[facet - 1, row]
-                _kernel(_add_several)(seen, np.stack(cosines), *polarised)
+        _kernel(_follow_paths)(np.sin(incidence), np.cos(incidence), normal, area, cosines, steps, weight, turns)
+        for several, heights in enumerate(_height_factors(surface, np.degrees(incidence), steps)):
+            last = several + 2
+            seen = weight[several] * (steps[several + 1] > 0) * heights
+            _kernel(_add_several)(seen, cosines[:last], turns[: last - 1], stokes, sums[several, row])
     return [(albedo[:, 0] / _PATHS, albedo[:, 1:] / _PATHS) for albedo in sums]
 
 
@@ -535,25 +521,25 @@ def reflection_of_stokes(pairs: Array) -> Array:
     return np.stack([(f_s + f_p) / 2, (f_s - f_p) / 2, crossed.real, crossed.imag])
 
 
-def _height_factor(surface: Microsurface, theta_i: float, *steps: Array) -> Array:
-    """The integral over the heights of two or three facets, over cos θ_i and |cos θ| between them.
+def _height_factors(surface: Microsurface, theta_i: float, steps: Array) -> tuple[Array, Array]:
+    """The integrals over the heights of two and of three facets, over cos θ_i and |cos θ| between them, (paths,) each.
 
-    ``steps`` are the cosines of the directions after each facet.
+    ``steps`` (3, paths) are the cosines of the directions after each facet.
     """
     cos_i, excess_i = _projected(surface, np.array(max(90 - theta_i, 1e-4) * -1 + 90))
-    cosines = [np.maximum(np.abs(z), 1e-9) for z in steps]
-    lambdas = [surface.excess(c, np.sqrt((1 - c) * (1 + c)), 0.0) * np.sqrt((1 - c) * (1 + c)) / c for c in cosines]
-    at_i, at_1, at_o = excess_i / cos_i, lambdas[0], lambdas[-1]
-    if len(steps) == 2:
-        paths = np.where(steps[0] > 0, 1 / (1 + at_i + at_1), 1 / (1 + at_1 + at_o))
-        return np.asarray(paths / (1 + at_i + at_o) / (cos_i * cosines[0]))
-    at_2 = lambdas[1]
-    both_up = 1 / ((1 + at_i + at_1) * (1 + at_i + at_2))
-    both_down = 1 / ((1 + at_1 + at_o) * (1 + at_2 + at_o))
-    up_down = 1 / ((1 + at_i + at_1) * (1 + at_2 + at_o))
-    down_up = (2 + at_1 + at_i + at_2 + at_o) / ((1 + at_1 + at_2) * (1 + at_1 + at_o) * (1 + at_i + at_2))
-    paths = np.where(steps[0] > 0, np.where(steps[1] > 0, both_up, up_down), np.where(steps[1] > 0, down_up, both_down))
-    return np.asarray(paths / (1 + at_i + at_o) / (cos_i * cosines[0] * cosines[1]))
+    cosines = np.maximum(np.abs(steps), 1e-9)
+    sines = np.sqrt((1 - cosines) * (1 + cosines))
+    at_1, at_2, at_3 = surface.excess(cosines, sines, 0.0) * sines / cosines
+    at_i, upwards = excess_i / cos_i, steps > 0
+    up = 1 + at_i + at_1
+    twice = np.where(upwards[0], 1 / up, 1 / (1 + at_1 + at_2)) / (1 + at_i + at_2) / (cos_i * cosines[0])
+    both_up = 1 / (up * (1 + at_i + at_2))
+    both_down = 1 / ((1 + at_1 + at_3) * (1 + at_2 + at_3))
+    up_down = 1 / (up * (1 + at_2 + at_3))
+    down_up = (2 + at_1 + at_i + at_2 + at_3) / ((1 + at_1 + at_2) * (1 + at_1 + at_3) * (1 + at_i + at_2))
+    paths = np.where(upwards[0], np.where(upwards[1], both_up, up_down), np.where(upwards[1], down_up, both_down))
+    thrice = paths / (1 + at_i + at_3) / (cos_i * cosines[0] * cosines[1])
+    return np.asarray(twice), np.asarray(thrice)
 
 
 def _log(values: Array) -> Array:
@@ -701,6 +687,42 @@ def _add_paths(
                 for a in range(rank):
                     product = first[f, 0, a] * mean + first[f, 1, a] * half * cos_2psi
                     result[m, 1 + a * rank + b] += power * product
+
+
+def _follow_paths(
+    sin_i: float, cos_i: float, normal: Array, area: Array, cosines: Array, steps: Array, weight: Array, turns: Array
+) -> None:
+    """Directions of light that three facets reflect one after the other.
+
+    Parameters
+    ----------
+    sin_i, cos_i : of the incidence
+    normal, area : (3, n, 3) and (3, n) of the facets
+    cosines, steps : (3, n) cosines of the angle of incidence on each facet and of the direction after it, which are filled in
+    weight : (2, n) after two and after three facets, which is filled in
+    turns : (2, 2, n) cosine and sine of the angle between the planes of incidence of a facet and the next, which are filled in
+    """
+    for path in range(normal.shape[1]):
+        # Towards the light of a facet, and its frame: s, and the direction of the light × s.
+        x, y, z, light = sin_i, 0.0, cos_i, 1.0
+        s_x, s_y, s_z, p_x, p_y, p_z = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        for facet in range(3):
+            n_x, n_y, n_z = normal[facet, path, 0], normal[facet, path, 1], normal[facet, path, 2]
+            cosine = x * n_x + y * n_y + z * n_z
+            light *= max(cosine, 0.0) * area[facet, path]
+            cosines[facet, path] = min(max(cosine, 0.0), 1.0)
+            a_x, a_y, a_z = n_y * z - n_z * y, n_z * x - n_x * z, n_x * y - n_y * x
+            length = max(math.sqrt(a_x * a_x + a_y * a_y + a_z * a_z), _LEAST)
+            a_x, a_y, a_z = a_x / length, a_y / length, a_z / length
+            if facet > 0:
+                turns[facet - 1, 0, path] = s_x * a_x + s_y * a_y + s_z * a_z
+                turns[facet - 1, 1, path] = p_x * a_x + p_y * a_y + p_z * a_z
+                weight[facet - 1, path] = light
+            x, y, z = 2 * cosine * n_x - x, 2 * cosine * n_y - y, 2 * cosine * n_z - z
+            steps[facet, path] = z
+            s_x, s_y, s_z = a_x, a_y, a_z
+            p_x, p_y, p_z = y * a_z - z * a_y, z * a_x - x * a_z, x * a_y - y * a_x
+            x, y, z = -x, -y, -z
 
 
 def _add_several(weight: Array, cosines: Array, turns: Array, stokes: Array, result: Array) -> None:

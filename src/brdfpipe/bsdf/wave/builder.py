@@ -419,7 +419,7 @@ def _with_facets(bsdf: xr.Dataset, predicted: xr.Dataset, around: Mapping[str, A
     names = [name for name in (*Microfacet.kind.required, *Microfacet.kind.optional) if name in predicted]
     of_table = _OF_TABLE if "furnace_albedo" in predicted else (*_OF_TABLE, "mean_furnace_albedo")
     kept = predicted[names].drop_vars([*_BASE, *of_table, "n", "k"], errors="ignore")
-    if "wavelength" in kept.dims:
+    if "wavelength" in kept.dims and not np.array_equal(kept["wavelength"], bsdf["wavelength"]):
         kept = kept.interp(wavelength=bsdf["wavelength"].values)
     names_of_modes = (
         "masking",

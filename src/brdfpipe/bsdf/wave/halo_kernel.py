@@ -114,6 +114,20 @@ class Sums(NamedTuple):
 
 
 _NO_BODY = Body(*[np.empty((0, 0))] * 4)
+
+
+class Passage(NamedTuple):
+    """Numbers of :func:`brdfpipe.bsdf.wave.two_scale.facet_share_at`."""
+
+    sigma: float
+    """Rms height of the relief that is one of facets [um]"""
+    phases: tuple[float, float]
+    """Phase variances between which it is one of facets for more and more light"""
+    steep_share: float
+    """Share of the light for which it is that earlier, for its slope"""
+    steep_phases: tuple[float, float]
+
+
 NO_TABLE = OrderTable(np.empty((0, 0, 0, 1)), np.empty((0, 0)), 0.0, 0.0, 1.0, 1.0, 1.0)
 
 
@@ -151,6 +165,41 @@ def lobe_sums(
         of_fine = np.empty((0, 0))
     _lobe_sums(lobe, orders, of_fine, (halo.sigma, fine.sigma), um, given, closes, generalised, sums)
     return sums
+
+
+def facet_share(passage: Passage, cosines: Array, wavelength: Array) -> Array:
+    """Share of the light that is reflected as by facets, (directions, wavelength), of γ_i + γ_o (directions,) at wavelengths [nm]."""
+    result = np.empty((cosines.size, wavelength.size))
+    log_phase = 2 * np.log(2e3 * np.pi * passage.sigma / wavelength)
+    steps = [np.log(limits) for limits in (passage.phases, passage.steep_phases)]
+    by_phase, by_slope = ((float(low), float(1 / (high - low))) for low, high in steps)
+    _facet_share(2 * np.log(cosines), log_phase, by_phase, by_slope, passage.steep_share, result)
+    return result
+
+
+@compiled
+def _facet_share(
+    log_cosines: Array,
+    log_phase: Array,
+    by_phase: tuple[float, float],
+    by_slope: tuple[float, float],
+    steep_share: float,
+    result: Array,
+) -> None:
+    for j in range(result.shape[0]):
+        for w in range(result.shape[1]):
+            log = log_cosines[j] + log_phase[w]
+            waves = 1 - _rising_step((log - by_phase[0]) * by_phase[1])
+            if steep_share > 0:
+                waves *= 1 - steep_share * _rising_step((log - by_slope[0]) * by_slope[1])
+            result[j, w] = 1 - waves
+
+
+@compiled
+def _rising_step(x: float) -> float:
+    x = x if x > 0 else 0.0
+    x = x if x < 1 else 1.0
+    return x * x * (3 - 2 * x)
 
 
 def _read(table: OrderTable, slope: Array, lobe: Lobe, um: Array, left_out: Array, values: int) -> Array:

@@ -11,10 +11,11 @@ from numpy.typing import NDArray
 
 from brdfpipe.bsdf.microfacet import evaluation_kernel
 from brdfpipe.bsdf.wave import halo_kernel
-from brdfpipe.bsdf.wave.halo import Halo
+from brdfpipe.bsdf.wave.halo import Azimuths, Halo
 from brdfpipe.bsdf.wave.halo_kernel import Body, Lobe, Sums
-from brdfpipe.bsdf.wave.two_scale import Angles, RoughSurface, tilted_share
-from brdfpipe.geometry import Array
+from brdfpipe.bsdf.wave.two_scale import Angles, RoughSurface
+from brdfpipe.geometry import Array, HalfVector
+from brdfpipe.masking.modes import PHYSICAL_MASKINGS
 
 Corners = Iterable[tuple[NDArray[np.int64], Array]]
 """Nodes of the closure about each outgoing direction, and their shares of it, (directions,) each"""
@@ -49,9 +50,9 @@ class LobeIntegrals:
         halo, relief = self._halo, self.surface.relief
         assert relief is not None
         pair, azimuths = evaluation_kernel.half_vectors(*angles), (angles[1], angles[3])
-        visible = relief.surface.visibility(pair, *azimuths, relief.masking)
-        slope, column = halo.slope_and_azimuth(pair, azimuths)
         cosines, none = pair.cos_i + pair.cos_o, np.zeros(weight.size)
+        visible_mirrors = self._visible_mirrors(pair, azimuths)
+        slope, column = halo.slope_and_azimuth(pair, azimuths)
         node, share = (np.stack(part, axis=1) for part in zip(*corners, strict=True))
         lobe = Lobe(
             weight,
@@ -60,14 +61,14 @@ class LobeIntegrals:
             column if column.size else none,
             cosines,
             pair.cos_i * pair.cos_o,
-            tilted_share(pair, visible),
-            relief.surface.mirrors(pair, visible, *azimuths) if scatters else none,
+            visible_mirrors * cosines**2,
+            relief.surface.p22(pair, *azimuths) * visible_mirrors if scatters else none,
             node,
             share,
         )
         body = None
         if scatters:
-            facet_share = self.surface.facet_share(cosines, self.wavelength)
+            facet_share = halo_kernel.facet_share(self._passage, cosines, self.wavelength)
             further = relief.facets.further_light(*angles, self.wavelength) if facet_share.any() else None
             body = Body(
                 facet_share,
@@ -82,6 +83,28 @@ class LobeIntegrals:
         return halo_kernel.lobe_sums(
             lobe, halo.by_order_table, fine, self.wavelength, self.nodes, body, closes=closes, generalised=generalised
         )
+
+    def _visible_mirrors(self, pair: HalfVector, azimuths: Azimuths) -> Array:
+        """(1 + s²)² G2 / (4 cos θ_i cos θ_o) of the facets of pairs, (directions,)."""
+        relief = self.surface.relief
+        assert relief is not None
+        if self._facets is not None:
+            return evaluation_kernel.visible_mirrors(self._facets, pair)
+        spread = 1 + pair.slope_squared
+        return np.asarray(spread * spread * relief.surface.visibility(pair, *azimuths, relief.masking) / 4)
+
+    @cached_property
+    def _facets(self) -> evaluation_kernel.FacetTables | None:
+        """Tables of the facets, where compiled code covers their masking."""
+        relief = self.surface.relief
+        assert relief is not None
+        if not (relief.surface.isotropic and relief.masking in PHYSICAL_MASKINGS):
+            return None
+        return evaluation_kernel.FacetTables.of(relief.surface, relief.masking)
+
+    @cached_property
+    def _passage(self) -> halo_kernel.Passage:
+        return self.surface.passage_of_pairs
 
     @cached_property
     def _halo(self) -> Halo:

@@ -23,7 +23,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
-from typing import Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -44,6 +44,9 @@ from brdfpipe.facets.planar_density import Ellipse
 from brdfpipe.facets.radial_density import RadialDensity
 from brdfpipe.geometry import Array, HalfVector, half_vector
 from brdfpipe.optics.fresnel_equations import reflectance_of
+
+if TYPE_CHECKING:
+    from brdfpipe.bsdf.wave.halo_kernel import Passage
 
 Angles = tuple[Array, Array, Array, Array]
 """θ_i, φ_i, θ_o and φ_o [degree], (directions,) each"""
@@ -318,6 +321,15 @@ class RoughSurface:
         if self.relief is None or self.halo is None:
             return np.full((*np.shape(cosines), wavelength.size), float(self.halo is None))
         return facet_share_at(self.facet_sigma, self.slope, self.passage, cosines, wavelength)
+
+    @property
+    def passage_of_pairs(self) -> Passage:
+        """What compiled code computes :meth:`facet_share` from, of a surface of waves and facets."""
+        from brdfpipe.bsdf.wave.halo_kernel import Passage
+
+        steep = float(rising_step(np.array(self.slope), SLOPES)) if self.slope > SLOPES[0] else 0.0
+        phases = self.passage / PASSAGE_WIDTH, self.passage * PASSAGE_WIDTH
+        return Passage(self.facet_sigma, phases, steep, STEEP_PHASES)
 
     def coherent_share(self, theta_i: Array, phi_i: Array, wavelength: Array) -> Array:
         """Share of Fresnel's reflectance that is reflected coherently, (incidences…, wavelength), of θ_i and φ_i [degree]."""
