@@ -176,7 +176,7 @@ def averaged(reduced: xr.Dataset, bsdf: xr.Dataset, weight: Array) -> xr.Dataset
                 values = at_wavelengths(change, reduced[_wavelengths_of_mixture(reduced, name)].values)
                 change = xr.DataArray(values, dims=(DIMENSION, "mixed"))
             elif _is_flattened(change, reduced[name]):
-                after = np.stack([one.nonspectral(weight)[name].values for one in SourceChanges(bsdf).of_inputs])
+                after = np.stack([one.nonspectral(weight)[name].values for one in SourceChanges.of(bsdf).of_inputs])
                 change = xr.DataArray(after - reduced[name].values, dims=(DIMENSION, *reduced[name].dims))
             elif "wavelength" in change.dims:
                 change = change @ xr.DataArray(weight, dims="wavelength")
