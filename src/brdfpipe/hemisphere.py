@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from functools import cache
+from functools import cache, lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -14,6 +14,8 @@ _LEAST_COSINE = 1e-4
 """Cosine of incidence below which a lobe is not resolved further."""
 _PANEL_GROWTH = 0.7
 """Step between the panels of a lobe with a lay, in asinh of the angle over the lobe's width."""
+_RULES_KEPT = 64
+"""Rules about mirror directions that are kept for whoever asks for the same, 40 to 120 kB each."""
 
 
 @cache
@@ -79,6 +81,7 @@ class Directions(NamedTuple):
     """cosθ dω of each direction [sr]; sums to π."""
 
 
+@lru_cache(maxsize=_RULES_KEPT)
 def around_mirror(
     theta_i: float, slope: float, half_angle: float = 180.0, order: int = 6, turns: int = 24
 ) -> Directions:
@@ -94,7 +97,7 @@ def around_mirror(
     Notes
     -----
     Along each ring the rule covers exactly the part above the horizon.
-    The integrand must be even about the plane of incidence.
+    The integrand must be even about the plane of incidence. The same arguments give the same arrays, which cannot be changed.
     """
     reach = np.radians(half_angle)
     doublings = int(np.clip(np.ceil(np.log2(8 * reach / slope)), 4, 40))
@@ -117,7 +120,10 @@ def around_mirror(
     weight = 2 * radius_weight[:, None] * turn_weight * np.sin(r) * np.maximum(z, 0.0)
     theta, phi = np.degrees(np.arctan2(np.hypot(x, y), z)), np.degrees(np.arctan2(y, x))
     above = (weight > 0) & (theta < 90)
-    return Directions(theta[above], phi[above], weight[above])
+    rule = Directions(theta[above], phi[above], weight[above])
+    for part in rule:
+        part.flags.writeable = False
+    return rule
 
 
 def around_mirror_with_lay(

@@ -49,7 +49,7 @@ def read(path: Path) -> xr.Dataset:
             name: xr.Variable(variable.dimensions, _found(variable[...], variable.dtype is str), variable.__dict__)
             for name, variable in file.variables.items()
         }
-        return xr.decode_cf(xr.Dataset(variables, attrs=file.__dict__))
+        return _decoded(variables, file.__dict__)
 
 
 def as_read(dataset: xr.Dataset) -> xr.Dataset | None:
@@ -67,9 +67,15 @@ def as_read(dataset: xr.Dataset) -> xr.Dataset | None:
             )
             for name, variable in variables.items()
         }
-        return xr.decode_cf(xr.Dataset(found, attrs=dict(_kept(attributes))))
+        return _decoded(found, dict(_kept(attributes)))
     except TypeError:
         return None
+
+
+def _decoded(variables: dict[str, xr.Variable], attributes: dict[str, Any]) -> xr.Dataset:
+    """As :func:`xarray.decode_cf`, which would first make a dataset of what is not decoded yet."""
+    decoded, others, coordinates = xr.conventions.decode_cf_variables(variables, attributes)
+    return xr.Dataset(decoded, attrs=others).set_coords(coordinates & decoded.keys())
 
 
 def _encoded(dataset: xr.Dataset) -> tuple[dict[str, xr.Variable], Mapping[str, Any]]:

@@ -11,6 +11,8 @@ ASTM D523, ISO 2813 and JIS Z 8741; :mod:`brdfpipe.appearance.gloss_meter` state
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields
+from functools import cached_property, lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -57,7 +59,8 @@ UNCERTAINTY_ORDER = 3
 """Points in each panel of a window, for an uncertainty."""
 
 
-class Source(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class Source:
     """Points of the source image, in its tangent plane and as directions [degree]."""
 
     u: Array
@@ -68,6 +71,18 @@ class Source(NamedTuple):
     """Reflectance of black glass at each point."""
     theta: Array
     phi: Array
+
+    @classmethod
+    def joined(cls, sources: Sequence[Source]) -> Source:
+        """The points of several sources, one after the other."""
+        return cls(*(np.concatenate([getattr(one, part.name) for one in sources]) for part in fields(cls)))
+
+    @cached_property
+    def on_one_side(self) -> tuple[Source, NDArray[np.intp]]:
+        """The source without the mirror images of its points in the plane of incidence, and the number of the point left for each."""
+        place = np.round(np.stack([self.u, np.abs(self.v)]), 12)
+        _, kept, number = np.unique(place, axis=1, return_index=True, return_inverse=True)
+        return Source(*(getattr(self, part.name)[kept] for part in fields(self))), number.reshape(-1)
 
 
 class Window(NamedTuple):
@@ -132,8 +147,9 @@ def directions(u: Array, v: Array, angle: float) -> tuple[Array, Array]:
     return angles_of(np.stack([sin + u * cos, v, cos - u * sin], axis=-1))
 
 
+@lru_cache(maxsize=256)
 def source(angle: float, rule: Rule, window: Window | None = None) -> Source:
-    """The source image about the incidence ``angle`` [degree], or another window there."""
+    """The source image about the incidence ``angle`` [degree], or another window there; the same object each time, as it is the same of all materials."""
     low_u, high_u, low_v, high_v = window or centred(*SOURCE)
     u, weight_u = panel_rule([low_u, high_u], rule.source[0])
     v, weight_v = panel_rule([low_v, high_v], rule.source[1])
@@ -246,9 +262,8 @@ def _on_one_side(beam: Beam, symmetric: bool) -> tuple[Beam, NDArray[np.intp]]:
     light, window = beam.light, beam.window
     if not symmetric or window.low_v != -window.high_v:
         return beam, np.arange(light.u.size)
-    place = np.round(np.stack([light.u, np.abs(light.v)]), 12)
-    _, kept, number = np.unique(place, axis=1, return_index=True, return_inverse=True)
-    return beam._replace(light=Source(*(part[kept] for part in light))), number.reshape(-1)
+    kept, number = light.on_one_side
+    return beam._replace(light=kept), number
 
 
 def _sums_by_point(values: Array, point: NDArray[np.intp], points: int) -> Array:

@@ -157,10 +157,11 @@ def colours_after_changes(
     # A change of a colour is smoother over the azimuth than a colour.
     turns = np.zeros(1) if representation(bsdf).isotropic else _SOME_AZIMUTHS
     each = changes.evaluate_each(*_turned_about_normal(angles(_directions(geometries)), turns), None)
-    spheres = [colorimetry.reflectance_to_xyz(wavelength, total, illuminant, observer) for total in totals]
-    single = [_lab_of(bsdf, brdf.mean(axis=1), illuminant, observer, changed=True) for brdf in each]
-    of_totals = colorimetry.xyz_to_lab(np.array(spheres), white)[:, None]
-    return np.concatenate([of_totals, np.array(single)], axis=1)
+    spheres = colorimetry.reflectance_to_xyz(wavelength, np.stack(totals), illuminant, observer)
+    means = [brdf.mean(axis=1) for brdf in each]
+    together = np.stack([np.broadcast_to(mean, (*mean.shape[:-1], wavelength.size)) for mean in means])
+    single = _lab_of(bsdf, together, illuminant, observer, changed=True)
+    return np.concatenate([colorimetry.xyz_to_lab(spheres, white)[:, None], single], axis=1)
 
 
 def colour_uncertainty(
@@ -286,11 +287,11 @@ def _lab(
 
 
 def _lab_of(bsdf: xr.Dataset, brdf: Array, illuminant: str, observer: int, changed: bool) -> Array:
-    """L*a*b* (directions, 3) of BRDFs (directions, wavelength or 1); NaN where a changed BSDF is not known."""
-    unknown = np.asarray(~np.isfinite(brdf).all(axis=-1)) if changed else np.zeros(len(brdf), dtype=bool)
-    xyz = xyz_of(bsdf, np.where(unknown[:, None], 0.0, brdf), illuminant, observer)
+    """L*a*b* (…, 3) of BRDFs (…, wavelength or 1); NaN where a changed BSDF is not known."""
+    unknown = np.asarray(~np.isfinite(brdf).all(axis=-1)) if changed else np.zeros(brdf.shape[:-1], dtype=bool)
+    xyz = xyz_of(bsdf, np.where(unknown[..., None], 0.0, brdf), illuminant, observer)
     lab = colorimetry.xyz_to_lab(xyz, colorimetry.weights(illuminant, observer).white)
-    return np.where(unknown[:, None], np.nan, lab)
+    return np.where(unknown[..., None], np.nan, lab)
 
 
 def xyz_of(bsdf: xr.Dataset, brdf: Array, illuminant: str, observer: int) -> Array:

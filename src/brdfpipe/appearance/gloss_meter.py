@@ -18,7 +18,9 @@ is V(λ) and CIE illuminant C; here it is V(λ)·D65, which differs for coloured
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -168,7 +170,25 @@ def gloss_of(
     sample: Sample, beam: Beam, scattered: Array, azimuths: Array, reflector: Reflector | None = None
 ) -> Array:
     """Gloss units at azimuths, from the scattered light that its receptor has received (:func:`.apertures.received`)."""
-    return apertures.gloss_units_of(beam.light, _mirrored(sample, beam.light, azimuths, reflector) + scattered)
+    return gloss_of_each(sample, [beam], [scattered], azimuths, reflector)[0]
+
+
+def gloss_of_each(
+    sample: Sample,
+    beams: Sequence[Beam],
+    scattered: Sequence[Array],
+    azimuths: Array,
+    reflector: Reflector | None = None,
+) -> list[Array]:
+    """:func:`gloss_of` of several geometries, whose mirrored light is evaluated together."""
+    lights = [beam.light for beam in beams]
+    together = lights[0] if len(lights) == 1 else Source.joined(lights)
+    ends = np.cumsum([light.u.size for light in lights])[:-1]
+    mirrored = np.split(_mirrored(sample, together, azimuths, reflector), ends, axis=1)
+    return [
+        apertures.gloss_units_of(light, alone + flux)
+        for light, alone, flux in zip(lights, mirrored, scattered, strict=True)
+    ]
 
 
 def _mirrored(sample: Sample, light: Source, azimuths: Array, reflector: Reflector | None = None) -> Array:
@@ -204,6 +224,45 @@ def _with_half_ranges(
 
 def _half_ranges(sample: Sample, angle: float, azimuths: Array, gloss_by_azimuth: Array) -> Array:
     """Half the range of gloss over each of the six tolerances, (tolerances, azimuths); signed, so that they can be averaged."""
+    edges, others, edge_shift, joined = _tolerance_beams(angle)
+    light = apertures.source(angle, apertures.QUICK)
+    scattered = apertures.received(sample, [*edges, *others], azimuths)
+    # Half the gloss units of the strips at the receptor's edges.
+    low_u, high_u, low_v, high_v = (apertures.gloss_units_of(light, flux) / 2 for flux in scattered[:4])
+    axis = (high_u - low_u) * float(np.radians(AXIS_TOLERANCE)) / edge_shift
+    into_one = np.split(
+        _mirrored(sample, joined, azimuths), np.cumsum([beam.light.u.size for beam in others])[:-1], axis=1
+    )
+    reflected = [alone + flux for alone, flux in zip(into_one, scattered[4:], strict=True)]
+    below, above = (
+        apertures.gloss_units_of(beam.light, flux) for beam, flux in zip(others[4:], reflected[4:], strict=True)
+    )
+    total = below + above
+    incidence = np.divide(gloss_by_azimuth * (above - below), total, out=np.zeros_like(total), where=total > 0)
+    glass = float(light.weight @ light.glass)
+    nominal = gloss_by_azimuth * (light.weight @ light.glass) / 100, glass
+    rims = [
+        (flux @ beam.light.weight, float(beam.light.weight @ beam.light.glass))
+        for beam, flux in zip(others[:4], reflected, strict=False)
+    ]
+    return np.array([low_u + high_u, low_v + high_v, axis, incidence, *_source_half_ranges(nominal, rims)])
+
+
+class _ToleranceBeams(NamedTuple):
+    """The light that changes with the tolerances of a meter; the same for all materials."""
+
+    edges: list[Beam]
+    """Into the strips at the edges of the receptor"""
+    others: list[Beam]
+    """Into the receptor: from the four rims of the source, then from a point at either end of the tolerance of the incidence"""
+    edge_shift: float
+    """How far the first two edges move"""
+    joined: Source
+    """The lights of ``others``"""
+
+
+@lru_cache(maxsize=8)
+def _tolerance_beams(angle: float) -> _ToleranceBeams:
     receptor, light = centred(*RECEPTOR[angle]), apertures.source(angle, apertures.QUICK)
     edges, edge_shift = _receptor_edges(angle)
     moved = [angle + end * AXIS_TOLERANCE for end in (-1, 1)]
@@ -211,28 +270,12 @@ def _half_ranges(sample: Sample, angle: float, azimuths: Array, gloss_by_azimuth
         *((angle, rim) for rim in _source_rims(angle)),
         *((other, apertures.source(other, _POINT)) for other in moved),
     ]
-    beams = [
-        *(Beam(angle, light, edge, apertures.UNCERTAINTY_ORDER) for edge in edges),
-        *(Beam(other, other_light, receptor, apertures.UNCERTAINTY_ORDER) for other, other_light in lights),
-    ]
-    scattered = apertures.received(sample, beams, azimuths)
-    # Half the gloss units of the strips at the receptor's edges.
-    low_u, high_u, low_v, high_v = (apertures.gloss_units_of(light, flux) / 2 for flux in scattered[:4])
-    axis = (high_u - low_u) * float(np.radians(AXIS_TOLERANCE)) / edge_shift
-    others = [other_light for _, other_light in lights]
-    into_one = np.split(
-        _mirrored(sample, _joined(others), azimuths), np.cumsum([one.u.size for one in others])[:-1], axis=1
+    return _ToleranceBeams(
+        [Beam(angle, light, edge, apertures.UNCERTAINTY_ORDER) for edge in edges],
+        [Beam(other, other_light, receptor, apertures.UNCERTAINTY_ORDER) for other, other_light in lights],
+        edge_shift,
+        Source.joined([other_light for _, other_light in lights]),
     )
-    reflected = [alone + flux for alone, flux in zip(into_one, scattered[4:], strict=True)]
-    below, above = (apertures.gloss_units_of(*reading) for reading in zip(others[4:], reflected[4:], strict=True))
-    total = below + above
-    incidence = np.divide(gloss_by_azimuth * (above - below), total, out=np.zeros_like(total), where=total > 0)
-    glass = float(light.weight @ light.glass)
-    nominal = gloss_by_azimuth * (light.weight @ light.glass) / 100, glass
-    rims = [
-        (flux @ rim.weight, float(rim.weight @ rim.glass)) for rim, flux in zip(others[:4], reflected, strict=False)
-    ]
-    return np.array([low_u + high_u, low_v + high_v, axis, incidence, *_source_half_ranges(nominal, rims)])
 
 
 def _receptor_edges(angle: float) -> tuple[list[Window], float]:
@@ -252,15 +295,11 @@ def _source_rims(angle: float) -> list[Source]:
     rims = []
     for low, high in pairwise(half_width(full_u + end * more_u) for end in (-1, 0, 1)):
         sides = [Window(-high, -low, -half_v, half_v), Window(low, high, -half_v, half_v)]
-        rims.append(_joined([apertures.source(angle, _RIM_U, side) for side in sides]))
+        rims.append(Source.joined([apertures.source(angle, _RIM_U, side) for side in sides]))
     for low, high in pairwise(half_width(full_v + end * more_v) for end in (-1, 0, 1)):
         sides = [Window(-half_u, half_u, -high, -low), Window(-half_u, half_u, low, high)]
-        rims.append(_joined([apertures.source(angle, _RIM_V, side) for side in sides]))
+        rims.append(Source.joined([apertures.source(angle, _RIM_V, side) for side in sides]))
     return rims
-
-
-def _joined(sources: Sequence[Source]) -> Source:
-    return Source(*(np.concatenate(parts) for parts in zip(*sources, strict=True)))
 
 
 def _source_half_ranges(nominal: tuple[Array, float], rims: Sequence[tuple[Array, float]]) -> list[Array]:

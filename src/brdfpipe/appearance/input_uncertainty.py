@@ -18,7 +18,7 @@ from brdfpipe import vocabulary
 from brdfpipe.appearance import apertures
 from brdfpipe.appearance.apertures import Rule
 from brdfpipe.appearance.colours import FLOP_GEOMETRIES, TOTAL, colours_after_changes, flop_index, total_reflectance
-from brdfpipe.appearance.gloss_meter import beam_of, gloss_of
+from brdfpipe.appearance.gloss_meter import beam_of, gloss_of_each
 from brdfpipe.appearance.haze import HazeWindow, beams_of, haze_of
 from brdfpipe.appearance.transmission import luminous_transmittance, transmission_haze
 from brdfpipe.bsdf.change_variables import MODEL, NOT_STATED, OF_MAP
@@ -135,7 +135,9 @@ def _meter_parts(
 
     def measured(reflector: Reflector, received: Sequence[Array]) -> Array:
         light = iter(received)
-        gloss = [gloss_of(sample, beam, next(light), azimuths, reflector).mean() for beam in of_gloss]
+        received_here = [next(light) for _ in of_gloss]
+        each = gloss_of_each(sample, of_gloss, received_here, azimuths, reflector) if of_gloss else []
+        gloss = [one.mean() for one in each]
         beside = [haze_of(beams, [next(light) for _ in beams]).mean() for beams in of_windows]
         return np.array([*gloss, *beside])
 

@@ -105,7 +105,8 @@ def preview(
     part = moulded_part(side)
     pictures.append((part.coverage, part.lit_as(pictures[0][1])))
     shown = np.concatenate([_composed(*picture) for picture in pictures], axis=1)
-    shown = np.moveaxis(shown.reshape(side, len(SUBJECTS) * side, len(lightings), 3), 2, 0)
+    # One picture after the other in memory: all that is done with them afterwards takes them in that order.
+    shown = np.ascontiguousarray(np.moveaxis(shown.reshape(side, len(SUBJECTS) * side, len(lightings), 3), 2, 0))
     picture = xr.Dataset(
         {"picture": (("row", "column", "channel"), shown[0])},
         coords={"channel": ["R", "G", "B"]},

@@ -233,9 +233,14 @@ def _uncertainty(name: str, **at: Any) -> Callable[[Datasets], float]:
     """Reads the uncertainty of a variable of the appearance that includes that of the BSDF; ``at`` selects by coordinate, or by number."""
 
     def read(datasets: Datasets) -> float:
-        u = datasets.get("appearance", xr.Dataset()).get(f"{name}_u")
-        if u is None or "BSDF" not in str(u.attrs.get("long_name", "")):
+        appearance = datasets.get("appearance", xr.Dataset())
+        # xarray would look for a similar name before it says that there is none.
+        variable = appearance.variables.get(f"{name}_u")
+        if variable is None or "BSDF" not in str(variable.attrs.get("long_name", "")):
             return math.nan
+        if not at:
+            return float(variable)
+        u = appearance[f"{name}_u"]
         for dimension, label in at.items():
             if isinstance(label, int):
                 u = u.isel({dimension: label})

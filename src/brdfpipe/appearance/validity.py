@@ -373,15 +373,17 @@ def _model_error(datasets: Datasets) -> Judgement | None:
         two_faces = datasets["bsdf"].attrs.get("transmission") == "slab" or _is_coated(datasets)
         advice = "Compare with a measurement" if two_faces else "Set `model.truth: check`"
         return Judgement(condition, "not computed", "", advice)
-    peak = result.sel(region="peak", theta_i=result["theta_i"].values[result["theta_i"].values <= LARGEST_JUDGED])
-    error = peak["light_error"].where(peak["valid"] > 0).transpose("reference", "plane", "theta_i").values
+    judged = result[["light_error", "light_error_u", "valid"]]
+    peak = judged.sel(region="peak", theta_i=result["theta_i"].values[result["theta_i"].values <= LARGEST_JUDGED])
+    light = peak["light_error"].where(peak["valid"] > 0)
+    error = light.transpose("reference", "plane", "theta_i").values
     if np.isnan(error).all():
         if datasets.get("surface", result).get("height", result["theta_i"]).ndim == 1:
             finding = "not known for a line profile; masking along it is compared with Smith's below"
             return Judgement(condition, finding, "", "Measure an areal map")
         return Judgement(condition, "no reference solution holds", "warn", "Compare with a measurement")
     known = peak["theta_i"].values[~np.isnan(error).all(axis=(0, 1))]
-    excess, of_light = _largest_error(peak["light_error"].where(peak["valid"] > 0), peak["light_error_u"], ERROR_LIMITS)
+    excess, of_light = _largest_error(light, peak["light_error_u"], ERROR_LIMITS)
     finding = f"in the peak {of_light('.1%')}, judged from {known.min():g} to {known.max():g}°"
     units = result["gloss_error"].where(result["gloss_valid"] > 0)
     if units.notnull().any():

@@ -14,7 +14,7 @@ import xarray as xr
 
 from brdfpipe import vocabulary
 from brdfpipe.appearance.origin import PREDICTION_INPUTS, Datasets, is_measured
-from brdfpipe.appearance.validity import validity
+from brdfpipe.appearance.validity import Judgement, validity
 
 VERDICTS = ("fail", "warn", "pass")
 """Worst first."""
@@ -41,13 +41,17 @@ class Verdict:
     """What gave it: ``check``, ``condition`` of the model, ``stage`` with warnings, or an ``acceptance`` without a warning."""
 
 
-def verdicts(datasets: Datasets, accepted: Acceptances = ()) -> list[Verdict]:
+def verdicts(
+    datasets: Datasets, accepted: Acceptances = (), conditions: Sequence[Judgement] | None = None
+) -> list[Verdict]:
     """Verdicts of the checks, of the table and of readings, ``warn`` for every stage that the BRDF rests on and that has a warning, and ``warn`` or
     ``fail`` for every condition of the model that the surface meets in part, or does not meet.
 
     A ``warn`` that the description accepts is :data:`ACCEPTED`, with the reason; ``fail`` cannot be accepted. An acceptance without a
-    warning is a warning.
+    warning is a warning. ``conditions`` are those of :func:`.validity.validity`, if they are known already.
     """
+    if conditions is None:
+        conditions = [] if is_measured(datasets) else validity(datasets)
     unmet = [
         Verdict(
             _lowered(judgement.condition),
@@ -55,7 +59,7 @@ def verdicts(datasets: Datasets, accepted: Acceptances = ()) -> list[Verdict]:
             ". ".join(filter(None, (judgement.finding, judgement.advice))),
             "condition",
         )
-        for judgement in ([] if is_measured(datasets) else validity(datasets))
+        for judgement in conditions
         if judgement.verdict in ("fail", "warn")
     ]
     outcomes = [*check_verdicts(datasets), *unmet]
@@ -65,7 +69,11 @@ def verdicts(datasets: Datasets, accepted: Acceptances = ()) -> list[Verdict]:
 
 def overall(datasets: Datasets, accepted: Acceptances = ()) -> tuple[str, list[Verdict]]:
     """The verdict of a material, and the entries that it is for; no entries for pass, and an empty verdict where nothing was checked."""
-    outcomes = verdicts(datasets, accepted)
+    return decisive(verdicts(datasets, accepted))
+
+
+def decisive(outcomes: Sequence[Verdict]) -> tuple[str, list[Verdict]]:
+    """As :func:`overall`, of the :func:`verdicts` of a material."""
     verdict = worst(outcomes)
     return verdict, [] if verdict in ("", "pass") else [entry for entry in outcomes if entry.verdict == verdict]
 

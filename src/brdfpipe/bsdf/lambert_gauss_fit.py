@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike
@@ -14,6 +16,7 @@ from brdfpipe.bsdf.registry import representation
 from brdfpipe.bsdf.representations.lambert_gauss import FIT_RESULTS, FWHM, LambertGauss, about_mirror, gaussian
 from brdfpipe.errors import VocabularyError
 from brdfpipe.geometry import Array, check_angles
+from brdfpipe.hemisphere import Directions
 
 _WIDEST = 90.0
 """Largest full width at half maximum of a lobe [degree]; wider ones belong to the Lambertian part."""
@@ -49,7 +52,15 @@ def fit_lambert_gauss(bsdf: xr.Dataset, theta_i: ArrayLike, azimuth: float = 0.0
     if angles.ndim != 1:
         raise VocabularyError(f"theta_i of a fit has shape {angles.shape}; accepted: one angle or a list of angles")
     reduced = nonspectral(bsdf)
-    fits = np.array([_fit_one(reduced, float(angle), azimuth) for angle in angles])
+    rules = [approximation_error.directions(reduced, float(angle), azimuth) for angle in angles]
+    each = _brdf_at(reduced, angles, azimuth, rules)
+    albedos = representation(reduced).albedo(angles, np.full(angles.size, azimuth), None)[:, 0]
+    fits = np.array(
+        [
+            _fit_one(brdf, rule, float(angle), azimuth, float(albedo))
+            for brdf, rule, angle, albedo in zip(each, rules, angles, albedos, strict=True)
+        ]
+    )
     result = xr.Dataset(
         {
             name: ("theta_i", values)
@@ -69,17 +80,27 @@ def fit_lambert_gauss(bsdf: xr.Dataset, theta_i: ArrayLike, azimuth: float = 0.0
     return vocabulary.label(vocabulary.add_warning(result, *texts), "bsdf")
 
 
-def _fit_one(bsdf: xr.Dataset, theta_i: float, azimuth: float) -> tuple[float, ...]:
-    rule = approximation_error.directions(bsdf, theta_i, azimuth)
+def _brdf_at(bsdf: xr.Dataset, theta_i: Array, azimuth: float, rules: Sequence[Directions]) -> list[Array]:
+    """The BRDF of each incidence at the directions of its rule, evaluated together, (incidences)(directions,)."""
+    if not rules:
+        return []
+    sizes = [rule.theta.size for rule in rules]
+    theta_o, phi_o = (np.concatenate([getattr(rule, name) for rule in rules]) for name in ("theta", "phi"))
+    incidence = np.repeat(theta_i, sizes), np.full(theta_o.size, float(azimuth))
+    values = representation(bsdf).evaluate(*incidence, theta_o, phi_o, None)[..., 0]
+    return np.split(values, np.cumsum(sizes)[:-1])
+
+
+def _fit_one(brdf: Array, rule: Directions, theta_i: float, azimuth: float, albedo: float) -> tuple[float, ...]:
+    """The parameters of one incidence, from the BRDF at directions; ``albedo`` is the directional reflectance of the model."""
     theta_o, phi_o, weight = rule
-    brdf = approximation_error.brdf_at(bsdf, theta_i, azimuth, rule)[..., 0]
     along, across = about_mirror(theta_i, theta_o, phi_o - azimuth)
     root = np.sqrt(weight / (weight @ brdf**2)) if brdf.any() else np.sqrt(weight)
     start = _starting_point(root, brdf, along, across)
     if start is None:
         floor = float(weight @ brdf / weight.sum())
         error = approximation_error.misfit(weight, np.full_like(brdf, floor), brdf)
-        return np.pi * floor, 0.0, 0.0, 0.0, 0.0, *error[:2], _reflectance_error(bsdf, theta_i, azimuth, np.pi * floor)
+        return np.pi * floor, 0.0, 0.0, 0.0, 0.0, *error[:2], _reflectance_error(albedo, np.pi * floor)
 
     def model(parameters: Array) -> Array:
         floor, peak, parallel, perpendicular = np.exp(parameters)
@@ -97,13 +118,12 @@ def _fit_one(bsdf: xr.Dataset, theta_i: float, azimuth: float) -> tuple[float, .
     error = approximation_error.misfit(weight, model(fitted), brdf)
     reflected = float(weight @ gaussian(along, across, peak, parallel, perpendicular))
     lambert = float(np.pi * floor)
-    missing = _reflectance_error(bsdf, theta_i, azimuth, lambert + reflected)
+    missing = _reflectance_error(albedo, lambert + reflected)
     return lambert, peak, FWHM * parallel, FWHM * perpendicular, reflected, *error[:2], missing
 
 
-def _reflectance_error(bsdf: xr.Dataset, theta_i: float, azimuth: float, reflectance: float) -> float:
+def _reflectance_error(albedo: float, reflectance: float) -> float:
     """Relative error of a reflectance against the model's, mirror reflection included."""
-    albedo = float(representation(bsdf).albedo(np.array([theta_i]), np.array([azimuth]), None)[0, 0])
     return reflectance / albedo - 1 if albedo > 0 else 0.0
 
 

@@ -176,7 +176,7 @@ def averaged(reduced: xr.Dataset, bsdf: xr.Dataset, weight: Array) -> xr.Dataset
                 values = at_wavelengths(change, reduced[_wavelengths_of_mixture(reduced, name)].values)
                 change = xr.DataArray(values, dims=(DIMENSION, "mixed"))
             elif _is_flattened(change, reduced[name]):
-                after = np.stack([one.nonspectral(weight)[name].values for one in SourceChanges(bsdf).of_inputs])
+                after = np.stack([one.nonspectral(weight)[name].values for one in SourceChanges.of(bsdf).of_inputs])
                 change = xr.DataArray(after - reduced[name].values, dims=(DIMENSION, *reduced[name].dims))
             elif "wavelength" in change.dims:
                 change = change @ xr.DataArray(weight, dims="wavelength")
@@ -215,9 +215,11 @@ def _with_variables(dataset: xr.Dataset, variables: Mapping[str, xr.Variable]) -
 def _after(bsdf: xr.Dataset, name: str, row: int) -> xr.Variable | None:
     """A variable after one of its changes, within the range of its quantity; None if it does not change."""
     # Plain variables: xarray would align the coordinates of each.
-    change = bsdf.variables[name + _SUFFIX][{DIMENSION: row}]
-    if not change.values.any():
+    changes = bsdf.variables[name + _SUFFIX]
+    of_row = changes.values.take(row, axis=changes.dims.index(DIMENSION))
+    if not of_row.any():
         return None
+    change = xr.Variable([dim for dim in changes.dims if dim != DIMENSION], of_row)
     given = bsdf.variables[name] if name in bsdf.variables else xr.zeros_like(change)
     if "change_theta" in change.dims:
         change = change.transpose("change_theta", ...)

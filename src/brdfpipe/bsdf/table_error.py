@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -122,10 +122,10 @@ def error_of(bsdf: xr.Dataset, evaluate: Evaluate, pairs: Pairs, wavelength: Arr
     wavelength : (n,) nm, default those of the BSDF
     """
     errors = errors_at(bsdf, evaluate, pairs, wavelength)
+    theta_i = np.linspace(5.0, 80.0, 6)
     albedo = max(
-        _albedo_error(representation(bsdf), evaluate, rule, float(theta_i), wavelength)
-        for theta_i in np.linspace(5.0, 80.0, 6)
-        for rule in rules(bsdf, float(theta_i))
+        _albedo_error(representation(bsdf), evaluate, of_side, theta_i, wavelength)
+        for of_side in zip(*(rules(bsdf, float(theta)) for theta in theta_i), strict=True)
     )
     return TableError(float(np.quantile(errors, 0.95)), float(np.sqrt(np.mean(errors**2))), albedo, pairs.theta_i.size)
 
@@ -151,10 +151,23 @@ def rules(bsdf: xr.Dataset, theta_i: float, phi_i: float = 0.0) -> list[Directio
     return rules
 
 
+def light_of_incidences(
+    evaluate: Evaluate, theta_i: Array, phi_i: float, rules: Sequence[Directions], wavelength: Array | None
+) -> list[Array]:
+    """Light that a BSDF sends into the directions of a quadrature for each incidence [1], (incidences)(wavelength,)."""
+    sizes = [rule.theta.size for rule in rules]
+    theta_o, phi_o = (np.concatenate([getattr(rule, name) for rule in rules]) for name in ("theta", "phi"))
+    values = evaluate(np.repeat(theta_i, sizes), np.full_like(theta_o, phi_i), theta_o, phi_o, wavelength)
+    parts = np.split(values, np.cumsum(sizes)[:-1])
+    return [np.asarray(rule.weight @ part) for rule, part in zip(rules, parts, strict=True)]
+
+
 def _albedo_error(
-    model: Representation, evaluate: Evaluate, rule: Directions, theta_i: float, wavelength: Array | None
+    model: Representation, evaluate: Evaluate, rules: Sequence[Directions], theta_i: Array, wavelength: Array | None
 ) -> float:
-    angles = np.full_like(rule.theta, theta_i), np.zeros_like(rule.theta), rule.theta, rule.phi
-    given, read = (rule.weight @ values(*angles, wavelength) for values in (model.evaluate, evaluate))
+    """Largest relative error of the light of one side, at any incidence."""
+    given, read = (
+        np.array(light_of_incidences(values, theta_i, 0.0, rules, wavelength)) for values in (model.evaluate, evaluate)
+    )
     lit = given > 1e-9
     return float(np.max(np.abs(read[lit] / given[lit] - 1), initial=0.0))

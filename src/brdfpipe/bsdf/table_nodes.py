@@ -30,6 +30,7 @@ from brdfpipe.bsdf.table_error import (
     error_of,
     errors_at,
     fresh_pairs,
+    light_of_incidences,
     rules,
 )
 from brdfpipe.bsdf.tabulation import values_on_nodes
@@ -179,11 +180,12 @@ def albedo_factor(bsdf: xr.Dataset, values: Array, axes: Mapping[str, Array], li
     azimuths = axes.get("phi_i", np.zeros(1))
     factor = np.ones((azimuths.size, axes["theta_i"].size, 2))
     for row, phi_i in enumerate(azimuths):
-        for column, theta_i in enumerate(axes["theta_i"]):
-            for side, rule in enumerate(rules(bsdf, min(theta_i, 89.5), phi_i)):
-                at = np.full_like(rule.theta, theta_i), np.full_like(rule.theta, phi_i), rule.theta, rule.phi
-                wanted, found = (float(rule.weight @ brdf(*at, None)[:, 0]) for brdf in (evaluate, read))
-                factor[row, column, side] = np.clip(wanted / found, 1 - limit, 1 + limit) if found > 0 else 1.0
+        # All incidences of an azimuth at once: each evaluation has its own preparation.
+        of_incidences = [rules(bsdf, min(theta_i, 89.5), phi_i) for theta_i in axes["theta_i"]]
+        for side, of_side in enumerate(zip(*of_incidences, strict=True)):
+            light = [light_of_incidences(brdf, axes["theta_i"], phi_i, of_side, None) for brdf in (evaluate, read)]
+            for column, (wanted, found) in enumerate(zip(*light, strict=True)):
+                factor[row, column, side] = np.clip(wanted[0] / found[0], 1 - limit, 1 + limit) if found[0] > 0 else 1.0
     polar = axes["theta_o"] if "theta_o" in axes else np.zeros(1)
     factor = factor[:, :, (polar > 90).astype(int), None, None]
     return factor if "phi_i" in axes else factor[0]

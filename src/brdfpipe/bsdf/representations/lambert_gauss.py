@@ -107,7 +107,9 @@ def gaussian(
     """Gaussian of angles from the mirror direction [degree], by its peak and widths σ [degree]; 0 if the peak is 0."""
     with np.errstate(divide="ignore", invalid="ignore"):
         exponent = (along / sigma_parallel) ** 2 / 2 + (across / sigma_perpendicular) ** 2 / 2
-    return np.where(np.asarray(peak) > 0, peak * np.exp(-np.nan_to_num(exponent, nan=0.0, posinf=np.inf)), 0.0)
+    # 0/0 at the centre of a lobe of no width.
+    lobe = np.exp(-np.where(np.isnan(exponent), 0.0, exponent))
+    return np.where(np.asarray(peak) > 0, peak * lobe, 0.0)
 
 
 def about_mirror(theta_i: ArrayLike, theta_o: Array, phi: Array) -> tuple[Array, Array]:

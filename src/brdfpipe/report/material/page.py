@@ -15,7 +15,7 @@ from brdfpipe.appearance.quantities import values, viewing_conditions
 from brdfpipe.appearance.validity import validity
 from brdfpipe.appearance.verdicts import (
     Acceptances,
-    overall,
+    decisive,
     reason_to_accept,
     stage_title,
     stage_warnings,
@@ -76,7 +76,8 @@ def material_page(
     of_material = values(known)
     facts = list(key_numbers(known, of_material))
     conditions = [] if measured else validity(known)
-    verdict, reasons = overall(known, accepted)
+    outcomes = verdicts(known, accepted, conditions)
+    verdict, reasons = decisive(outcomes)
     exported = exports_table(known, material_name(known))
     inputs = [
         effect_pigment_section(known),
@@ -121,7 +122,7 @@ def material_page(
         looks=looks(known.get("preview")),
         verdict=verdict,
         reasons=reasons,
-        verdicts=verdicts(known, accepted),
+        verdicts=outcomes,
         facts=facts,
         plus_minus=any("±" in fact.value for fact in facts),
         validity=conditions,
