@@ -20,8 +20,8 @@ from brdfpipe.scenes.planning import Judged, achievable, chosen, judge, judgemen
 from brdfpipe.scenes.scene import Scene
 
 Row = Mapping[str, Any]
-"""What was measured of a material: ``name``, ``features`` with their time ``features_cost`` [s], and by key of each of its ``candidates`` cost,
-``errors`` by scene and ``fresh_errors`` at other directions."""
+"""What was measured of a material: ``name``, ``features`` with their time ``features_cost`` [s], and by key of each of its ``candidates`` ``costs``
+and ``errors`` by scene and ``fresh_errors`` at other directions."""
 
 Result = TypeVar("Result")
 
@@ -116,12 +116,12 @@ def outcome(
     """What the planner chose among candidates for a material, and what an exhaustive search finds."""
     tolerance = scene.content["tolerance"]
     of_scene = {key: one for key, one in row["candidates"].items() if scene.name in one.get("errors", {})}
-    within = [one["cost"] for one in of_scene.values() if one["errors"][scene.name] <= tolerance]
-    fullest = of_scene[FULLEST.key]["cost"]
+    within = [one["costs"][scene.name] for one in of_scene.values() if one["errors"][scene.name] <= tolerance]
+    fullest = of_scene[FULLEST.key]["costs"][scene.name]
     choice = "" if refused else chosen(judged, tolerance).candidate.key
-    taken = of_scene.get(choice, {"cost": fullest, "errors": {scene.name: None}})
+    taken = of_scene.get(choice, {"costs": {scene.name: fullest}, "errors": {scene.name: None}})
     error = taken.get("fresh_errors", {}).get(scene.name, taken["errors"][scene.name])
-    return Outcome(row["name"], choice, error, taken["cost"], min(within), fullest, planning)
+    return Outcome(row["name"], choice, error, taken["costs"][scene.name], min(within), fullest, planning)
 
 
 def of_new_materials(scene: Scene, experience: Experience, reading: float, rows: Sequence[Row]) -> list[Outcome]:

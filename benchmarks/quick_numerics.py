@@ -1,4 +1,4 @@
-"""What quick numerics (:mod:`brdfpipe.scenes.numerics`) err by and save: random materials without a lay, and the table of docs/scenes.md.
+"""What fewer rays, facets and nodes (:mod:`brdfpipe.scenes.numerics`) err by and save: random materials, and the table of docs/scenes.md.
 
 ``python benchmarks/quick_numerics.py`` takes some minutes on one core.
 """
@@ -21,16 +21,25 @@ from brdfpipe.scenes.candidate_model import build
 from brdfpipe.scenes.ladders import FULLEST, Candidate
 from brdfpipe.scenes.metrics import METRICS
 from brdfpipe.scenes.model_inputs import ModelInputs
-from brdfpipe.scenes.numerics import FINE, NUMERICAL_ERROR, QUICK
+from brdfpipe.scenes.numerics import FINE, USES
 from brdfpipe.scenes.scene import load_scene
+from brdfpipe.scenes.scene_keys import METRIC_UNITS
 
 PROJECT = Path(__file__).resolve().parents[1]
 PAGE = PROJECT / "docs" / "scenes.md"
 RECORD = PROJECT / "benchmarks" / "results" / "quick_numerics.json"
+LAY = "ridges"
+"""Kind of surface that has a lay."""
 FIRST_SEED = 20_000
 """Others than those of the materials on which the planner's errors are measured."""
 MODELS = {"fullest": FULLEST, "Smith's masking": Candidate(masking="height-correlated")}
 """Models that are computed both ways: with traced masking, and with traced reflections alone."""
+SCENES = {
+    "gloss": ["gloss-sheet"],
+    "colour": ["multiangle-qc"],
+    "glare": ["dashboard-veiling-glare", "luminaire-raytrace"],
+}
+"""By metric the scenes whose domain an error is of; the largest counts."""
 
 
 class Trial(NamedTuple):
@@ -39,8 +48,9 @@ class Trial(NamedTuple):
     seed: int
     kind: str
     model: str
+    metric: str
     error: float
-    """Largest difference of gloss at 20, 60 and 85° [GU]"""
+    """In the unit of the metric"""
     fine: float
     """Processor time [s]"""
     quick: float
@@ -61,18 +71,19 @@ def main(materials: int) -> None:
 
 
 def tried(seed: int) -> list[Trial]:
-    """A random material with each model; none of a material with a lay, which has fine numerics, or one that the model refuses."""
-    kind, inputs, domain = *random_material(seed), load_scene("gloss-sheet").domain
+    """A random material with each model that it does not refuse, for each metric that may have fewer numbers."""
+    kind, inputs = random_material(seed)
     trials: list[Trial] = []
-    if inputs.lay:
-        return trials
     for name, candidate in MODELS.items():
-        try:
-            (fine, fine_time), (quick, quick_time) = (timed(candidate, inputs, numerics) for numerics in (FINE, QUICK))
-        except BrdfpipeError:
-            continue
-        error = METRICS["gloss"].error(quick, fine, domain).value
-        trials.append(Trial(seed, kind, name, float(f"{error:.3g}"), fine_time, quick_time))
+        for metric, use in USES["lay" if inputs.lay else "no lay"].items():
+            try:
+                (fine, fine_time), (quick, quick_time) = (
+                    timed(candidate, inputs, numerics) for numerics in (FINE, use.numerics)
+                )
+            except BrdfpipeError:
+                continue
+            error = max(METRICS[metric].error(quick, fine, load_scene(one).domain).value for one in SCENES[metric])
+            trials.append(Trial(seed, kind, name, metric, float(f"{error:.3g}"), fine_time, quick_time))
     return trials
 
 
@@ -84,27 +95,37 @@ def timed(candidate: Candidate, inputs: ModelInputs, numerics: str) -> tuple[xr.
 
 
 def table(trials: list[Trial]) -> str:
-    """The rows of the page, by kind of surface."""
+    """The rows of the page, by metric and kind of surface."""
     rows = [
-        "| Surface | Materials | Error, median | 95 % | largest | Processor time, fine → quick |",
-        "|---|---|---|---|---|---|",
+        "| Metric | Surface | Materials | Error, median | 95 % | largest | Processor time, fine → fewer |",
+        "|---|---|---|---|---|---|---|",
     ]
-    groups = {kind: [trial for trial in trials if trial.kind == kind] for kind in sorted({one.kind for one in trials})}
-    for kind, group in [*groups.items(), ("all", trials)]:
-        errors = np.array([trial.error for trial in group])
-        fine, quick = (float(np.mean([getattr(trial, name) for trial in group])) for name in ("fine", "quick"))
-        rows.append(
-            f"| {kind} | {len({trial.seed for trial in group})} | {np.median(errors):.2g} GU | {np.quantile(errors, 0.95):.2g} GU | "
-            f"{errors.max():.2g} GU | {fine:.2f} → {quick:.2f} s |"
-        )
-    within = np.mean([trial.error <= NUMERICAL_ERROR["gloss"] for trial in trials])
-    return "\n".join(
-        [
-            *rows,
-            "",
-            f"{within:.0%} err by at most {NUMERICAL_ERROR['gloss']:g} GU, which the planner takes off the tolerance.",
-        ]
+    statements = []
+    for lay, uses in USES.items():
+        for metric, use in uses.items():
+            of_metric = [trial for trial in trials if trial.metric == metric and (trial.kind == LAY) == (lay == "lay")]
+            if not of_metric:
+                continue
+            unit = METRIC_UNITS[metric]
+            kinds = sorted({trial.kind for trial in of_metric})
+            groups = {kind: [trial for trial in of_metric if trial.kind == kind] for kind in kinds}
+            if len(groups) > 1:
+                groups["all"] = of_metric
+            rows += [row(metric, unit, kind, group) for kind, group in groups.items()]
+            within = np.mean([trial.error <= use.error for trial in of_metric])
+            statements.append(f"{metric}, {lay}: {within:.0%} err by at most {use.error:g} {unit}".rstrip())
+    return "\n".join([*rows, "", f"The planner takes the error off the tolerance. {'; '.join(statements)}."])
+
+
+def row(metric: str, unit: str, kind: str, group: list[Trial]) -> str:
+    """Of a kind of surface."""
+    errors = np.array([trial.error for trial in group])
+    fine, quick = (float(np.mean([getattr(trial, name) for trial in group])) for name in ("fine", "quick"))
+    median, most, largest = (
+        f"{value:.2g} {unit}".rstrip() for value in (np.median(errors), np.quantile(errors, 0.95), errors.max())
     )
+    materials = len({trial.seed for trial in group})
+    return f"| {metric} | {kind} | {materials} | {median} | {most} | {largest} | {fine:.2f} → {quick:.2f} s |"
 
 
 if __name__ == "__main__":

@@ -41,6 +41,7 @@ from brdfpipe.scenes.features import features
 from brdfpipe.scenes.ladders import FULLEST, Candidate
 from brdfpipe.scenes.metrics import METRICS
 from brdfpipe.scenes.model_inputs import ModelInputs
+from brdfpipe.scenes.numerics import FINE, numerics_for
 from brdfpipe.scenes.scene import Scene, load_scene, measured_errors_file, shipped_scenes
 
 MATERIALS = 160
@@ -72,16 +73,26 @@ def planned_scenes() -> list[Scene]:
 def measure(
     inputs: ModelInputs, candidates: Sequence[Candidate], scenes: Sequence[Scene], fullest: xr.Dataset
 ) -> dict[str, Any]:
-    """Cost, size and error of candidates, by their keys; the error by scene, against the fullest, and that at fresh directions."""
+    """Cost, size and error of candidates, by their keys; the error by scene, against the fullest, and that at fresh directions.
+
+    They are of fine numerics. ``costs`` by scene are of those with which a model is planned for it.
+    """
     rows: dict[str, Any] = {}
+    numerics = {
+        one.name: numerics_for(one.content["metric"], one.content["tolerance"], inputs.lay)[0] for one in scenes
+    }
     for candidate in candidates:
         try:
             bsdf, cost = shortest(partial(build, candidate, inputs))
+            costs = {FINE: cost}
+            for name in set(numerics.values()) - {FINE}:
+                _, costs[name] = shortest(partial(build, candidate, inputs, name))
         except BrdfpipeError as error:
             rows[candidate.key] = {"refused": str(error)}
             continue
         row: dict[str, Any] = {
             "cost": cost,
+            "costs": {scene: costs[name] for scene, name in numerics.items()},
             "bytes": bsdf.nbytes,
             "errors": {},
             "fresh_errors": {},
@@ -182,7 +193,7 @@ def experience_of(scene: Scene, rows: list[dict[str, Any]]) -> Experience:
     known = []
     for row in rows:
         trials = {
-            candidate_of(key): Trial(one["errors"][scene.name], one["cost"])
+            candidate_of(key): Trial(one["errors"][scene.name], one["costs"][scene.name])
             for key, one in row["candidates"].items()
             if scene.name in one.get("errors", {})
         }

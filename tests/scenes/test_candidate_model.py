@@ -20,7 +20,7 @@ from brdfpipe.psd.estimation import estimate as roughness_spectrum
 from brdfpipe.scenes.candidate_model import MEDIAN_WIDTH, banded, build
 from brdfpipe.scenes.ladders import FULLEST, Candidate
 from brdfpipe.scenes.model_inputs import ModelInputs
-from brdfpipe.scenes.numerics import FINE, NUMERICAL_ERROR, QUICK
+from brdfpipe.scenes.numerics import FINE, QUICK, USES
 
 SIMPLE = {"optics": "facets", "masking": "height-correlated", "multiple_scattering": "none"}
 
@@ -101,7 +101,7 @@ def test_warnings_of_the_inputs_stay(inputs):
 def test_quick_numerics_differ_from_fine_ones_by_less_than_their_stated_error(inputs, masking):
     fine, quick = (build(Candidate(masking=masking), inputs, numerics) for numerics in (FINE, QUICK))
     difference = (gloss(quick) - gloss(fine)).values
-    assert 0 < np.abs(difference).max() < NUMERICAL_ERROR["gloss"]
+    assert 0 < np.abs(difference).max() < USES["no lay"]["gloss"].error
 
 
 def test_quick_numerics_choose_the_same_masking(inputs):

@@ -16,7 +16,7 @@ from brdfpipe.scenes.experience import NONE, Experience
 from brdfpipe.scenes.features import features
 from brdfpipe.scenes.ladders import FULLEST, Candidate
 from brdfpipe.scenes.model_inputs import ModelInputs
-from brdfpipe.scenes.numerics import FINE, NUMERICAL_ERROR, QUICK
+from brdfpipe.scenes.numerics import FINE, QUICK, USES
 from brdfpipe.scenes.planning import ToleranceError, chosen, judge, not_below, plan, plan_dataset
 from brdfpipe.scenes.scene import load_scene, shipped_scenes
 from brdfpipe.scenes.scene_keys import METRIC_UNITS
@@ -90,7 +90,7 @@ def test_numerics_are_fine_where_the_error_of_quick_ones_and_that_of_the_fullest
         planned("gloss", 5.0, 1.0)
     found = re.search(r"the best achievable is ([\d.]+) GU", str(refusal.value))
     assert found is not None
-    best, quick = float(found[1]), NUMERICAL_ERROR["gloss"]
+    best, quick = float(found[1]), USES["no lay"]["gloss"].error
     numerics = {more: planned("gloss", 5.0, best + more).attrs for more in (0.5 * quick, 1.5 * quick)}
     assert [(one["numerics"], one["numerical_error"]) for one in numerics.values()] == [(FINE, 0.0), (QUICK, quick)]
 

@@ -41,7 +41,7 @@ def rows(experience: Experience, fresh: dict[str, float] | None = None) -> list[
             "features_cost": 0.25,
             "candidates": {
                 candidate.key: {
-                    "cost": trial.cost,
+                    "costs": {SCENE.name: trial.cost},
                     "errors": {SCENE.name: trial.error},
                     "fresh_errors": {SCENE.name: fresh[one.name]} if candidate == FACETS and one.name in fresh else {},
                 }
