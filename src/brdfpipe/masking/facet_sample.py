@@ -70,13 +70,13 @@ class FacetSample(NamedTuple):
         p, q = self.slopes
         return np.asarray(-p * np.cos(azimuth) - q * np.sin(azimuth))
 
-    def visible(self, *directions: Array) -> NDArray[np.bool_]:
-        """Whether all of some directions see the facets; unit vectors, (n, 3) each."""
+    def visible(self, *directions: Array, among: NDArray[np.bool_] | None = None) -> NDArray[np.bool_]:
+        """Whether all of some directions see the facets; unit vectors, (n, 3) each. Facets that are not ``among`` (n,) count as hidden."""
         from brdfpipe.references import ray_kernel
 
         mesh = self.mesh
         arrays = mesh.height, mesh.ceiling, mesh.offset, float(mesh.height.min()), mesh.pitch, mesh.edges
-        visible = np.ones(self.block.size, dtype=bool)
+        visible = np.ones(self.block.size, dtype=bool) if among is None else among.copy()
         for direction in directions:
             ray_kernel.follow_from_facets(*arrays, self.position, self.facet, np.ascontiguousarray(direction), visible)
         return visible

@@ -227,7 +227,7 @@ def _at_incidence(
     reflectance = np.where(lit, fresnel(cos_zeta, _INDEX).mean, 0.0)
     brdf = reflectance * density(squared) * (1 + squared) ** 2 * over_cosines
     light = reflectance * cos_zeta * np.sqrt(1 + squared)
-    visible, expected = light * facets.visible(towards, outgoing), light * over_cosines * cos_i * cos_o
+    visible, expected = light * facets.visible(towards, outgoing, among=lit), light * over_cosines * cos_i * cos_o
     regions = [brdf >= least * brdf.max() for least in REGIONS.values()]
     return [_shares(facets, *(inside * part for part in (visible, expected, light))) for inside in regions]
 
