@@ -9,7 +9,7 @@ import pytest
 
 from brdfpipe import facets, psd
 from brdfpipe.bsdf import wave
-from brdfpipe.bsdf.wave.builder import _closure_corners, _directions
+from brdfpipe.bsdf.wave.builder import ENERGY_NODES, _closure_corners, _directions
 from brdfpipe.bsdf.wave.lobe_integrals import LobeIntegrals
 from brdfpipe.bsdf.wave.two_scale import RoughSurface
 from brdfpipe.optics.index import refractive_index
@@ -29,7 +29,7 @@ def built(request):
 def test_the_sums_are_those_of_single_directions(built, theta):
     surface, count = RoughSurface.of(built), built.sizes["closure_incidence"]
     wavelength, n, k = (built[name].values for name in ("wavelength", "n", "k"))
-    (weight, angles), *_ = _directions(built, np.zeros(1))(theta)
+    (weight, angles), *_ = _directions(built, np.zeros(1), ENERGY_NODES)(theta)
     corners = list(_closure_corners(built, angles, count, 1))
     found = LobeIntegrals(surface, wavelength, n, k, count)(weight, angles, corners, closes=True, scatters=True)
 
@@ -53,7 +53,7 @@ def test_the_sums_are_those_of_single_directions(built, theta):
 def test_a_part_of_the_sums_is_that_of_all(built):
     surface, count = RoughSurface.of(built), built.sizes["closure_incidence"]
     integrals = LobeIntegrals(surface, *(built[name].values for name in ("wavelength", "n", "k")), count)
-    (weight, angles), *_ = _directions(built, np.zeros(1))(60.0)
+    (weight, angles), *_ = _directions(built, np.zeros(1), ENERGY_NODES)(60.0)
     corners = list(_closure_corners(built, angles, count, 1))
     both = integrals(weight, angles, corners, closes=True, scatters=True)
     closing, scattering = (integrals(weight, angles, corners, **{part: True}) for part in ("closes", "scatters"))

@@ -17,7 +17,7 @@ from brdfpipe import appearance, facets, psd, store, vocabulary
 from brdfpipe.bsdf import summary, wave
 from brdfpipe.bsdf.registry import representation
 from brdfpipe.bsdf.wave import height_transform
-from brdfpipe.bsdf.wave.builder import _directions
+from brdfpipe.bsdf.wave.builder import LAY_ENERGY_NODES, _directions
 from brdfpipe.bsdf.wave.halo import Stretch
 from brdfpipe.bsdf.wave.planar_transform import spectrum_with_lay, tabulated
 from brdfpipe.bsdf.wave.two_scale import RoughSurface
@@ -172,7 +172,7 @@ def test_a_perfect_mirror_with_a_lay_returns_all_light_of_every_azimuth(theta, l
     closure, cosine = surface.closure, np.cos(np.radians(theta))
     assert closure is not None
     azimuths = LAY + np.array([0.0, 10.0, 30.0, 60.0, 90.0, 200.0, 230.0, 270.0])
-    for azimuth, (weight, angles) in zip(azimuths, _directions(bsdf, azimuths)(theta), strict=True):
+    for azimuth, (weight, angles) in zip(azimuths, _directions(bsdf, azimuths, LAY_ENERGY_NODES)(theta), strict=True):
         halo = surface.halo_of_mirrors(angles, wavelength)[:, 0, :2].sum(axis=-1)
         factor = closure.of_halo(np.cos(np.radians(angles[2])), angles[3], wavelength)[:, 0]
         at = np.array([cosine]), np.array([azimuth]), wavelength

@@ -596,12 +596,13 @@ def _with_closure(
     place = np.arange(between.size) / _BETWEEN_INCIDENCES
     cosine = np.cos(np.radians(np.minimum(between, _NEARLY_GRAZING)))
     scale = cosine[:, None, None] / (wavelength * 1e-3) ** 2
-    of_first_order = first_order / scale[::_BETWEEN_INCIDENCES, :, few]
-    loss = _between_wavelengths(_between_incidences(of_first_order, place), wavelength[few], wavelength[many])
+    # Towards grazing the light of small slopes vanishes as the cosine does, that of `ghs` does not.
+    slow = scale if bsdf.attrs["form"] != "ghs" else scale / cosine[:, None, None]
+    first_order = _between_incidences(first_order / slow[::_BETWEEN_INCIDENCES, :, few], place)
+    first_order = np.maximum(_between_wavelengths(first_order, wavelength[few], wavelength[many]), 0.0)
     change = 4e3 * np.pi * cosine[:, None] / wavelength[many]
-    loss = loss * _height_variance(psd, float(bsdf["sigma"]), change)[:, None]
+    loss = first_order * (slow / scale)[..., many] * _height_variance(psd, float(bsdf["sigma"]), change)[:, None]
     target, of_few = -np.expm1(-loss * scale[..., many]), np.searchsorted(many, few)
-
     to_between = _between_incidences(np.eye(theta.size), place)
 
     def halo_of(factor: Array) -> Array:
