@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import pytest
+import relief_maps
+import samples
 import xarray as xr
 
-from brdfpipe import appearance, psd, vocabulary
+from brdfpipe import appearance, facets, psd, vocabulary
 from brdfpipe.bsdf import wave
 from brdfpipe.bsdf.microfacet.microsurface import ModelError
 from brdfpipe.bsdf.nonspectral import nonspectral
 from brdfpipe.bsdf.registry import representation
 from brdfpipe.bsdf.representations.wave import _gauss_nodes
 from brdfpipe.optics import fresnel
+from brdfpipe.optics.index import refractive_index
 
 GLOSS = [
     (0.005, 81.414, 89.011),
@@ -128,10 +133,24 @@ def test_samples_have_the_weights_of_coherent_part_and_halo():
 
 @pytest.mark.parametrize("form", ["gaussian", "k-correlation"])
 def test_every_check_of_a_wave_bsdf_passes(form):
-    import json
-
     checked = polished(0.02, form, spectrum=spectrum(np.linspace(0.2, 0.5, 3))).bsdf.check()
     assert {verdict["verdict"] for verdict in json.loads(checked.attrs["verdicts"]).values()} == {"pass"}
+
+
+@pytest.mark.parametrize(
+    "surface",
+    [
+        lambda: relief_maps.gaussian(0.2, 256, seed=0, length=10),
+        pytest.param(lambda: 0.5 * relief_maps.cells(256, seed=7), marks=pytest.mark.slow),
+        pytest.param(lambda: relief_maps.ggx_like(256, seed=8, width=0.1), marks=pytest.mark.slow),
+    ],
+)
+def test_the_integral_of_a_metal_with_counted_slopes_is_its_reflectance(surface):
+    scan = samples.surface(surface(), (1.0, 1.0))
+    roughness, slopes = psd.estimate(scan), facets.estimate(scan)
+    metal = refractive_index({"n": 1.4, "k": 5.0})
+    bsdf = wave.build(roughness, index=metal, facets=slopes, optics="auto", wavelength=[450.0, 600.0])
+    assert json.loads(bsdf.bsdf.check().attrs["verdicts"])["integral"]["verdict"] == "pass"
 
 
 @pytest.mark.parametrize(

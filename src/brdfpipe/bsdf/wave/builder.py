@@ -144,6 +144,9 @@ class EnergyNodes(NamedTuple):
 
 
 ENERGY_NODES = EnergyNodes(25, 8, 5, turns=12)
+BRIGHT_ENERGY_NODES = EnergyNodes(25, 28, 5, turns=12)
+"""Of a surface that reflects more than :data:`BRIGHT` at the normal, whose integrals err by as much more: counted slopes have kinks."""
+BRIGHT = 0.2
 LAY_ENERGY_NODES = EnergyNodes(25, 6, 5, closure_arcs=12, arcs_a_half=9, arcs_a_turn=21)
 """Of a surface with a lay."""
 
@@ -256,7 +259,9 @@ def build(
     bsdf.attrs |= {"representation": Wave.name, **attributes}
     if optics != "composite":
         bsdf = bsdf.merge(halo_table(correlation, sigma, psd, given, _has_lay(psd, facets), phase_step))
-    bsdf = _with_albedo(bsdf, theta_m, psd, lay_energy_nodes if _has_azimuths(bsdf) else ENERGY_NODES)
+    bright = bool(_smooth(np.zeros(1), n, k).max() > BRIGHT)
+    nodes = BRIGHT_ENERGY_NODES if bright else ENERGY_NODES
+    bsdf = _with_albedo(bsdf, theta_m, psd, lay_energy_nodes if _has_azimuths(bsdf) else nodes)
     bsdf = _with_diffuse(bsdf, spectrum, theta_m)
     bsdf = vocabulary.add_warning(bsdf, *warnings, *_limits(bsdf, psd, correlation))
     return vocabulary.label(bsdf, "bsdf")
