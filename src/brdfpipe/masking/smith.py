@@ -141,8 +141,12 @@ class PlanarSmith:
 
     def excess(self, mu: ArrayLike, phi: ArrayLike) -> Array:
         """g(μ, φ), broadcast; φ in degree, μ = inf (normal incidence) gives 0."""
+        mu, phi = np.asarray(mu, dtype=float), np.asarray(phi, dtype=float)
+        if mu.shape == phi.shape and mu.size > 1 and (mu == mu.flat[0]).all() and (phi == phi.flat[0]).all():
+            # Of one incidence and many views.
+            return np.full(mu.shape, self.excess(mu.flat[0], phi.flat[0]))
         width, turn = self._ellipse.towards(phi)
-        slope = np.asarray(mu, dtype=float) / width
+        slope = mu / width
         inside = slope < self.last
         values = width * self.spline.ev(np.arcsinh(np.where(inside, slope, 0.0)), turn)
         return np.where(inside, np.maximum(values, 0.0), 0.0)

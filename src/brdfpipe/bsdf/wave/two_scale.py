@@ -22,7 +22,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
-from functools import cache, cached_property
+from functools import cache, cached_property, lru_cache
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
@@ -33,7 +33,7 @@ from scipy.ndimage import map_coordinates
 
 from brdfpipe.bsdf.coupled_base import ellipse_of
 from brdfpipe.bsdf.microfacet import polarised
-from brdfpipe.bsdf.microfacet.anisotropic_quadrature import azimuth_to_arc
+from brdfpipe.bsdf.microfacet.anisotropic_quadrature import arc_to_azimuth, azimuth_to_arc
 from brdfpipe.bsdf.microfacet.microsurface import Microsurface
 from brdfpipe.bsdf.microfacet.model import MANY_VALUES
 from brdfpipe.bsdf.representations.microfacet import OF_FACETS, Microfacet
@@ -75,6 +75,8 @@ so many values seldom makes one call."""
 _BLOCK = 2**15
 """Values that are computed together, so that their arrays stay in the processor's cache."""
 _NODES, _DECADES = 8192, 20
+_MANY_AZIMUTHS, _AZIMUTHS_OF_HALF_A_TURN = 256, 2**15
+"""Azimuths of a call from which on their arcs are interpolated, and those between which they are."""
 _ARCS_AROUND = 8
 """Arcs of the closure that are repeated on either side of half a turn, for a cubic spline."""
 
@@ -282,7 +284,21 @@ def closure_arcs(count: int) -> Array:
 
 def closure_arc_place(ellipse: Ellipse, azimuth: Array, count: int) -> Array:
     """Place [1], from 0 to ``count``, of azimuths [degree] among the numbers of as many arcs."""
-    return np.asarray(azimuth_to_arc(ellipse, azimuth) % 180 * (count / 180))
+    if azimuth.size < _MANY_AZIMUTHS:
+        return np.asarray(azimuth_to_arc(ellipse, azimuth) % 180 * (count / 180))
+    azimuths, arcs = _arcs_of_half_a_turn(ellipse)
+    return np.asarray(np.interp((azimuth - azimuths[0]) % 180 + azimuths[0], azimuths, arcs) % 180 * (count / 180))
+
+
+@lru_cache(8)
+def _arcs_of_half_a_turn(ellipse: Ellipse) -> tuple[Array, Array]:
+    """Azimuths from the wider axis on, and their arcs [degree]: between them linear interpolation errs by 1e-8 of a turn at a ratio of 10, and 2e-7 at 100."""
+    start = float(arc_to_azimuth(ellipse, np.zeros(1))[0])
+    azimuths = np.linspace(start, start + 180, _AZIMUTHS_OF_HALF_A_TURN + 1)
+    arcs = azimuth_to_arc(ellipse, azimuths)
+    # The ends are the same arc, of this turn and the next half.
+    arcs[0], arcs[-1] = 0.0, 180.0
+    return azimuths, arcs
 
 
 @dataclass(frozen=True)
