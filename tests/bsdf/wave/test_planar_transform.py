@@ -11,6 +11,7 @@ import pytest
 import relief_maps
 import samples
 import xarray as xr
+from mirror_halo import halo_of_mirrors
 from scipy.ndimage import map_coordinates
 
 from brdfpipe import appearance, facets, psd, store, vocabulary
@@ -173,7 +174,7 @@ def test_a_perfect_mirror_with_a_lay_returns_all_light_of_every_azimuth(theta, l
     assert closure is not None
     azimuths = LAY + np.array([0.0, 10.0, 30.0, 60.0, 90.0, 200.0, 230.0, 270.0])
     for azimuth, (weight, angles) in zip(azimuths, _directions(bsdf, azimuths, LAY_ENERGY_NODES)(theta), strict=True):
-        halo = surface.halo_of_mirrors(angles, wavelength)[:, 0, :2].sum(axis=-1)
+        halo = halo_of_mirrors(surface, angles, wavelength)[:, 0, :2].sum(axis=-1)
         factor = closure.of_halo(np.cos(np.radians(angles[2])), angles[3], wavelength)[:, 0]
         at = np.array([cosine]), np.array([azimuth]), wavelength
         coherent = closure.coherent_share(*at).item()

@@ -12,6 +12,7 @@ import pytest
 import relief_maps
 import samples
 import xarray as xr
+from mirror_halo import halo_of_mirrors
 from scipy.integrate import quad
 from scipy.special import ive
 
@@ -23,7 +24,6 @@ from brdfpipe.bsdf.wave import two_scale
 from brdfpipe.bsdf.wave.two_scale import RoughSurface, characteristic_function, facet_share, passage_phase
 from brdfpipe.comparison.model_error import model_error
 from brdfpipe.facets import analytic, estimate, flat
-from brdfpipe.facets.planar_density import Ellipse
 from brdfpipe.facets.radial_density import RadialDensity
 
 
@@ -388,18 +388,10 @@ def test_coherent_light_and_halo_of_a_perfect_mirror_are_all_light_up_to_grazing
     for theta in (52.0, 70.0, 82.0, 86.0, 88.5, 89.5):
         rule = hemisphere.around_mirror(theta, representation(bsdf).lobe_slope, order=5)
         angles = np.full_like(rule.theta, theta), np.zeros_like(rule.theta), rule.theta, rule.phi
-        halo = surface.halo_of_mirrors(angles, nm)[..., :2].sum(axis=-1)
+        halo = halo_of_mirrors(surface, angles, nm)[..., :2].sum(axis=-1)
         for direction in (angles[0], angles[2]):
             halo *= surface.closure.of_halo(np.cos(np.radians(direction)), 0 * direction, nm)
         # Of the light that waves reflect; steep roughness reflects 6 % of it as facets at 52 degree.
         waves = 1 - surface.facet_share(2 * np.cos(np.radians([theta])), nm)[0, 0]
         # Between the nodes of the factors.
         assert mirror_share(bsdf, [theta])[0] / waves + float(rule.weight @ halo[:, 0]) == pytest.approx(1, abs=2e-3)
-
-
-@pytest.mark.parametrize(("along", "across"), [(0.02, 0.2), (0.2, 0.02), (0.1, 0.15)])
-def test_many_azimuths_have_the_arcs_of_single_ones(along, across):
-    ellipse, azimuth = Ellipse(along, across, lay=33.0), np.random.default_rng(1).uniform(-400, 800, 1000)
-    many = two_scale.closure_arc_place(ellipse, azimuth, 12)
-    few = np.concatenate([two_scale.closure_arc_place(ellipse, part, 12) for part in np.split(azimuth, 10)])
-    assert np.abs((many - few + 6) % 12 - 6).max() < 1e-7

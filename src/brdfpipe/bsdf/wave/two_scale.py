@@ -22,7 +22,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
-from functools import cache, cached_property, lru_cache
+from functools import cache, cached_property
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
@@ -33,7 +33,7 @@ from scipy.ndimage import map_coordinates
 
 from brdfpipe.bsdf.coupled_base import ellipse_of
 from brdfpipe.bsdf.microfacet import polarised
-from brdfpipe.bsdf.microfacet.anisotropic_quadrature import arc_to_azimuth, azimuth_to_arc
+from brdfpipe.bsdf.microfacet.anisotropic_quadrature import azimuth_to_arc
 from brdfpipe.bsdf.microfacet.microsurface import Microsurface
 from brdfpipe.bsdf.microfacet.model import MANY_VALUES
 from brdfpipe.bsdf.representations.microfacet import OF_FACETS, Microfacet
@@ -75,8 +75,6 @@ so many values seldom makes one call."""
 _BLOCK = 2**15
 """Values that are computed together, so that their arrays stay in the processor's cache."""
 _NODES, _DECADES = 8192, 20
-_MANY_AZIMUTHS, _AZIMUTHS_OF_HALF_A_TURN = 256, 2**15
-"""Azimuths of a call from which on their arcs are interpolated, and those between which they are."""
 _ARCS_AROUND = 8
 """Arcs of the closure that are repeated on either side of half a turn, for a cubic spline."""
 
@@ -182,10 +180,6 @@ class Relief:
             return np.ones((*cosines.shape, wavelength.size))
         return np.exp(-self.fine.phase_variance(cosines, wavelength))
 
-    def tilted(self, pair: HalfVector, azimuths: Azimuths) -> Array:
-        """G2 q²/(4γ_iγ_o cos⁴α), (directions,): what reflects as tilted facets, over what reflects as the mean plane does."""
-        return tilted_share(pair, self.surface.visibility(pair, *azimuths, self.masking))
-
 
 def tilted_share(pair: HalfVector, visible: Array) -> Array:
     """The same of facets of a known visibility G2/(γ_iγ_o), (directions,)."""
@@ -284,21 +278,7 @@ def closure_arcs(count: int) -> Array:
 
 def closure_arc_place(ellipse: Ellipse, azimuth: Array, count: int) -> Array:
     """Place [1], from 0 to ``count``, of azimuths [degree] among the numbers of as many arcs."""
-    if azimuth.size < _MANY_AZIMUTHS:
-        return np.asarray(azimuth_to_arc(ellipse, azimuth) % 180 * (count / 180))
-    azimuths, arcs = _arcs_of_half_a_turn(ellipse)
-    return np.asarray(np.interp((azimuth - azimuths[0]) % 180 + azimuths[0], azimuths, arcs) % 180 * (count / 180))
-
-
-@lru_cache(8)
-def _arcs_of_half_a_turn(ellipse: Ellipse) -> tuple[Array, Array]:
-    """Azimuths from the wider axis on, and their arcs [degree]: between them linear interpolation errs by 1e-8 of a turn at a ratio of 10, and 2e-7 at 100."""
-    start = float(arc_to_azimuth(ellipse, np.zeros(1))[0])
-    azimuths = np.linspace(start, start + 180, _AZIMUTHS_OF_HALF_A_TURN + 1)
-    arcs = azimuth_to_arc(ellipse, azimuths)
-    # The ends are the same arc, of this turn and the next half.
-    arcs[0], arcs[-1] = 0.0, 180.0
-    return azimuths, arcs
+    return np.asarray(azimuth_to_arc(ellipse, azimuth) % 180 * (count / 180))
 
 
 @dataclass(frozen=True)
@@ -356,11 +336,10 @@ class RoughSurface:
             return waves * self.closure.coherent_share(np.maximum(cosine, 0.0), phi_i, wavelength)
         return waves * self.halo.coherent_share(theta_i, wavelength) if self.halo is not None else waves
 
-    def evaluate(self, angles: Angles, wavelength: Array, n: Array, k: Array, *, halo: Array | None = None) -> Array:
+    def evaluate(self, angles: Angles, wavelength: Array, n: Array, k: Array) -> Array:
         """BRDF without diffuse light [sr-1], (directions, wavelength); 0 unless both directions are above the surface.
 
-        Angles are θ_i, φ_i, θ_o and φ_o, (directions,) degree; wavelength [nm], n and k are (wavelength,). ``halo`` is
-        :meth:`halo_of_mirrors` of the same directions and wavelengths, if it is known.
+        Angles are θ_i, φ_i, θ_o and φ_o, (directions,) degree; wavelength [nm], n and k are (wavelength,).
         """
         many = self.compiled or angles[0].size * wavelength.size >= MANY_VALUES
         compiled = many or angles[0].size * wavelength.size >= MANY_HALO_VALUES
@@ -370,8 +349,7 @@ class RoughSurface:
         def of_block(pair: HalfVector, block: Angles, at: NDArray[np.int64]) -> Array:
             # The compiled kernel of the facets needs many directions at once.
             facets = (lambda: of_all_facets()[at]) if many else None
-            orders = None if halo is None else (halo[at, :, 0], halo[at, :, 1])
-            return surface.of_pairs(block, wavelength, n, k, pair=pair, facets=facets, orders=orders, compiled=compiled)
+            return surface.of_pairs(block, wavelength, n, k, pair=pair, facets=facets, compiled=compiled)
 
         return _in_blocks(angles, (wavelength.size,), of_block, many)
 
@@ -406,7 +384,6 @@ class RoughSurface:
         *,
         pair: HalfVector | None = None,
         facets: Callable[[], Array] | None = None,
-        orders: tuple[Array, Array] | None = None,
         compiled: bool = False,
         reflectance: Callable[[Array], Array] | None = None,
         once: OnlyOnce = each_time,
@@ -418,7 +395,6 @@ class RoughSurface:
         angles : (directions,) each, or numbers, which take a fraction of the time of arrays
         pair : of these directions, if it is known
         facets : gives the BRDF of the facets, if it is known
-        orders : :meth:`brdfpipe.bsdf.wave.halo.Halo.by_order` of these directions, if it is known
         compiled : whether the polarisation factor is computed by compiled code
         reflectance : Fresnel's reflectance of n and k as a function of cosines, (…, 1), if it is known
         once : for several surfaces of one body in the same directions
@@ -428,7 +404,7 @@ class RoughSurface:
         if relief is not None:
             surface, masking = relief.surface, relief.masking
             visible = once(("visible", id(surface)), lambda: surface.visibility(pair, *azimuths, masking))
-        parts = self._parts(pair, azimuths, wavelength, visible, once, orders)
+        parts = self._parts(pair, azimuths, wavelength, visible, once)
         values = np.zeros((*np.shape(angles[0]), wavelength.size))
         if parts.facets is not None:
             assert relief is not None
@@ -442,23 +418,6 @@ class RoughSurface:
             turned = angles[3] - angles[1]
             values += parts.waves * once(("polarisation",), lambda: polarisation_factor(pair, turned, n, k, compiled))
         return values
-
-    def halo_of_mirrors(self, angles: Angles, wavelength: Array) -> Array:
-        """BRDF of the halo if the body were a perfect mirror, before it is matched [sr-1], (directions, wavelength, 3).
-
-        What reflects as waves, what reflects as tilted facets, and the first order without its loss to higher ones.
-        """
-        surface = self._with_compiled_halos if self.compiled else self
-        halo, relief = surface.halo, surface.relief
-        assert halo is not None
-        assert relief is not None
-
-        def of_block(pair: HalfVector, block: Angles, at: NDArray[np.int64]) -> Array:
-            azimuths = block[1], block[3]
-            low, high = halo.by_order(pair, azimuths, wavelength, relief.tilted(pair, azimuths))
-            return np.stack([low, high, halo.first_strength(pair, azimuths, wavelength)], axis=-1)
-
-        return _in_blocks(angles, (wavelength.size, 3), of_block, self.compiled)
 
     def mueller(self, angles: Angles, wavelength: Array, n: Array, k: Array) -> Array:
         """Mueller matrices of the same [sr-1], (directions, wavelength, 4, 4), in the frames of the microfacet model."""
@@ -518,9 +477,8 @@ class RoughSurface:
         wavelength: Array,
         visible: Array,
         once: OnlyOnce = each_time,
-        orders: tuple[Array, Array] | None = None,
     ) -> _Parts:
-        """Of pairs of directions; ``visible`` is the visibility of their facets, if there are any, ``orders`` their halo by order, if known."""
+        """Of pairs of directions; ``visible`` is the visibility of their facets, if there are any."""
         cosines, relief = pair.cos_i + pair.cos_o, self.relief
         if relief is None:
             assert self.halo is not None
@@ -530,7 +488,7 @@ class RoughSurface:
         tilted = once(("tilted", id(visible)), lambda: tilted_share(pair, visible))
         facets, spread, waves = None, np.zeros(share.shape), np.zeros(share.shape)
         if self.halo is not None and not (share == 1).all():
-            low, high = orders or self.halo.by_order(pair, azimuths, wavelength, tilted, once)
+            low, high = self.halo.by_order(pair, azimuths, wavelength, tilted, once)
             of_waves = 1 - share
             if self.closure is not None:
                 closure, both = self.closure, np.array([pair.cos_i, pair.cos_o])
