@@ -181,14 +181,20 @@ def gloss_of_each(
     reflector: Reflector | None = None,
 ) -> list[Array]:
     """:func:`gloss_of` of several geometries, whose mirrored light is evaluated together."""
-    lights = [beam.light for beam in beams]
-    together = lights[0] if len(lights) == 1 else Source.joined(lights)
-    ends = np.cumsum([light.u.size for light in lights])[:-1]
-    mirrored = np.split(_mirrored(sample, together, azimuths, reflector), ends, axis=1)
+    joined = beams[0].light if len(beams) == 1 else Source.joined([beam.light for beam in beams])
+    mirrored = _mirrored_of_each(sample, beams, joined, azimuths, reflector)
     return [
-        apertures.gloss_units_of(light, alone + flux)
-        for light, alone, flux in zip(lights, mirrored, scattered, strict=True)
+        apertures.gloss_units_of(beam.light, alone + flux)
+        for beam, alone, flux in zip(beams, mirrored, scattered, strict=True)
     ]
+
+
+def _mirrored_of_each(
+    sample: Sample, beams: Sequence[Beam], joined: Source, azimuths: Array, reflector: Reflector | None = None
+) -> list[Array]:
+    """:func:`_mirrored` of the light of each beam, (beams)(azimuths, points), evaluated together; ``joined`` has the points of all."""
+    ends = np.cumsum([beam.light.u.size for beam in beams])[:-1]
+    return np.split(_mirrored(sample, joined, azimuths, reflector), ends, axis=1)
 
 
 def _mirrored(sample: Sample, light: Source, azimuths: Array, reflector: Reflector | None = None) -> Array:
@@ -230,9 +236,7 @@ def _half_ranges(sample: Sample, angle: float, azimuths: Array, gloss_by_azimuth
     # Half the gloss units of the strips at the receptor's edges.
     low_u, high_u, low_v, high_v = (apertures.gloss_units_of(light, flux) / 2 for flux in scattered[:4])
     axis = (high_u - low_u) * float(np.radians(AXIS_TOLERANCE)) / edge_shift
-    into_one = np.split(
-        _mirrored(sample, joined, azimuths), np.cumsum([beam.light.u.size for beam in others])[:-1], axis=1
-    )
+    into_one = _mirrored_of_each(sample, others, joined, azimuths)
     reflected = [alone + flux for alone, flux in zip(into_one, scattered[4:], strict=True)]
     below, above = (
         apertures.gloss_units_of(beam.light, flux) for beam, flux in zip(others[4:], reflected[4:], strict=True)

@@ -238,8 +238,6 @@ def _uncertainty(name: str, **at: Any) -> Callable[[Datasets], float]:
         variable = appearance.variables.get(f"{name}_u")
         if variable is None or "BSDF" not in str(variable.attrs.get("long_name", "")):
             return math.nan
-        if not at:
-            return float(variable)
         u = appearance[f"{name}_u"]
         for dimension, label in at.items():
             if isinstance(label, int):

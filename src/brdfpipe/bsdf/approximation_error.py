@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -57,6 +58,25 @@ def brdf_at(bsdf: xr.Dataset, theta_i: float, phi_i: float, rule: Directions, wa
     """The BRDF of one incidence at directions, (directions, wavelength)."""
     incidence = np.full_like(rule.theta, theta_i), np.full_like(rule.phi, phi_i)
     return np.asarray(representation(bsdf).evaluate(*incidence, rule.theta, rule.phi, wavelength))
+
+
+def brdf_of_incidences(
+    evaluate: Callable[..., Array],
+    theta_i: Array,
+    phi_i: float,
+    rules: Sequence[Directions],
+    wavelength: Array | None = None,
+) -> list[Array]:
+    """The BRDF of each incidence at the directions of its rule, evaluated together, (incidences)(directions, wavelength).
+
+    ``evaluate`` is that of a representation, or of another program.
+    """
+    if not rules:
+        return []
+    sizes = [rule.theta.size for rule in rules]
+    theta_o, phi_o = (np.concatenate([getattr(rule, name) for rule in rules]) for name in ("theta", "phi"))
+    values = evaluate(np.repeat(theta_i, sizes), np.full_like(theta_o, phi_i), theta_o, phi_o, wavelength)
+    return np.split(values, np.cumsum(sizes)[:-1])
 
 
 def lost_specular(bsdf: xr.Dataset, form: str) -> list[str]:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike
@@ -53,11 +51,11 @@ def fit_lambert_gauss(bsdf: xr.Dataset, theta_i: ArrayLike, azimuth: float = 0.0
         raise VocabularyError(f"theta_i of a fit has shape {angles.shape}; accepted: one angle or a list of angles")
     reduced = nonspectral(bsdf)
     rules = [approximation_error.directions(reduced, float(angle), azimuth) for angle in angles]
-    each = _brdf_at(reduced, angles, azimuth, rules)
+    each = approximation_error.brdf_of_incidences(representation(reduced).evaluate, angles, azimuth, rules)
     albedos = representation(reduced).albedo(angles, np.full(angles.size, azimuth), None)[:, 0]
     fits = np.array(
         [
-            _fit_one(brdf, rule, float(angle), azimuth, float(albedo))
+            _fit_one(brdf[:, 0], rule, float(angle), azimuth, float(albedo))
             for brdf, rule, angle, albedo in zip(each, rules, angles, albedos, strict=True)
         ]
     )
@@ -78,17 +76,6 @@ def fit_lambert_gauss(bsdf: xr.Dataset, theta_i: ArrayLike, azimuth: float = 0.0
         )
     texts = approximation_error.lost_specular(bsdf, "Lambert + Gaussian form")
     return vocabulary.label(vocabulary.add_warning(result, *texts), "bsdf")
-
-
-def _brdf_at(bsdf: xr.Dataset, theta_i: Array, azimuth: float, rules: Sequence[Directions]) -> list[Array]:
-    """The BRDF of each incidence at the directions of its rule, evaluated together, (incidences)(directions,)."""
-    if not rules:
-        return []
-    sizes = [rule.theta.size for rule in rules]
-    theta_o, phi_o = (np.concatenate([getattr(rule, name) for rule in rules]) for name in ("theta", "phi"))
-    incidence = np.repeat(theta_i, sizes), np.full(theta_o.size, float(azimuth))
-    values = representation(bsdf).evaluate(*incidence, theta_o, phi_o, None)[..., 0]
-    return np.split(values, np.cumsum(sizes)[:-1])
 
 
 def _fit_one(brdf: Array, rule: Directions, theta_i: float, azimuth: float, albedo: float) -> tuple[float, ...]:

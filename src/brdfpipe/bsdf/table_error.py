@@ -155,10 +155,7 @@ def light_of_incidences(
     evaluate: Evaluate, theta_i: Array, phi_i: float, rules: Sequence[Directions], wavelength: Array | None
 ) -> list[Array]:
     """Light that a BSDF sends into the directions of a quadrature for each incidence [1], (incidences)(wavelength,)."""
-    sizes = [rule.theta.size for rule in rules]
-    theta_o, phi_o = (np.concatenate([getattr(rule, name) for rule in rules]) for name in ("theta", "phi"))
-    values = evaluate(np.repeat(theta_i, sizes), np.full_like(theta_o, phi_i), theta_o, phi_o, wavelength)
-    parts = np.split(values, np.cumsum(sizes)[:-1])
+    parts = approximation_error.brdf_of_incidences(evaluate, theta_i, phi_i, rules, wavelength)
     return [np.asarray(rule.weight @ part) for rule, part in zip(rules, parts, strict=True)]
 
 

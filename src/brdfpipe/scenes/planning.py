@@ -140,7 +140,7 @@ def plan(
     judged = judge(inputs.structures, found, usable)
     numerics, numerical_error = numerics_for(metric, tolerance, inputs.lay)
     if numerical_error and achievable(found, usable, tolerance - numerical_error) is not None:
-        # The error of the fullest model and that of quick numerics together would exceed the tolerance.
+        # The error of the fullest model and that of its numerics together would exceed the tolerance.
         numerics, numerical_error = FINE, 0.0
     choice = chosen(judged, tolerance - numerical_error)
     result = plan_dataset(

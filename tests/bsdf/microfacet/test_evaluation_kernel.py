@@ -378,3 +378,12 @@ def test_visible_mirrors_are_those_of_numpy(masking):
     found = kernel.visible_mirrors(kernel.FacetTables.of(surface, masking), pair)
     expected = surface.mirrors(pair, surface.visibility(pair, *phi, masking), *phi) / surface.p22(pair, *phi)
     np.testing.assert_allclose(found, expected, rtol=1e-11)
+
+
+@pytest.mark.parametrize("k", [0.0, 0.01, 3.0])
+def test_the_reflectance_is_that_of_fresnel(k):
+    cosine, n = np.append(np.linspace(1e-9, 1, 200), 1e-5), np.array([1.0, 1.3, 1.5, 2.5])
+    n, k = (n, np.full(4, k)) if k < 1 else (np.append(n, 0.3), np.full(5, k))
+    np.testing.assert_allclose(
+        kernel.reflectances(cosine, n, k), fresnel(cosine[:, None], n, k).mean, rtol=1e-12, atol=1e-16
+    )

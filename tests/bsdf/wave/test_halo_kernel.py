@@ -12,7 +12,6 @@ from brdfpipe.bsdf.wave import halo_kernel, two_scale
 from brdfpipe.bsdf.wave.halo import Halo, Stretch, amplitudes, polarisation_factor
 from brdfpipe.bsdf.wave.two_scale import RoughSurface
 from brdfpipe.geometry import HalfVector, half_vector
-from brdfpipe.optics.fresnel_equations import fresnel
 
 
 def directions(count: int = 400) -> tuple[np.ndarray, ...]:
@@ -50,15 +49,6 @@ def test_the_polarisation_factor_is_that_of_the_amplitudes(k):
     pair, azimuth = half_vector(*angles), angles[3] - angles[1]
     found = polarisation_factor(pair, azimuth, n, k, compiled=True)
     np.testing.assert_allclose(found, amplitudes(pair, azimuth, n, k).mean, rtol=1e-12, atol=1e-16)
-
-
-@pytest.mark.parametrize("k", [0.0, 0.01, 3.0])
-def test_the_reflectance_is_that_of_fresnel(k):
-    cosine, n = np.append(np.linspace(1e-9, 1, 200), 1e-5), np.array([1.0, 1.3, 1.5, 2.5])
-    n, k = (n, np.full(4, k)) if k < 1 else (np.append(n, 0.3), np.full(5, k))
-    np.testing.assert_allclose(
-        halo_kernel.reflectance(cosine, n, k), fresnel(cosine[:, None], n, k).mean, rtol=1e-12, atol=1e-16
-    )
 
 
 @pytest.mark.parametrize("slope", [0.1, 0.3, 0.5])

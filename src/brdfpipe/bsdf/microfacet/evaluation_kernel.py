@@ -1400,6 +1400,21 @@ def further_light(table: FurtherLight, angles: Sequence[Array], width: int) -> A
     return result
 
 
+@compiled
+def _reflectances(cosine: Array, n: Array, k: Array, absorbs: bool, result: Array) -> None:
+    for j in range(cosine.size):
+        for w in range(n.size):
+            result[j, w] = _absorbing(cosine[j], n[w], k[w]) if absorbs else _transparent(cosine[j], n[w])
+
+
+def reflectances(cosine: Array, n: Array, k: Array) -> Array:
+    """Fresnel's reflectance for unpolarised light of bodies with n >= 1 or k > 0, (directions, index), of cosines (directions,)."""
+    result = np.empty((cosine.size, n.size))
+    cosine, n, k = (np.ascontiguousarray(values, dtype=float) for values in (cosine, n, k))
+    _reflectances(cosine, n, k, bool(k.any()), result)
+    return result
+
+
 def half_vectors(theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array) -> HalfVector:
     """As :func:`brdfpipe.geometry.half_vector`, of directions above the horizon, (directions,) degree each."""
     rows = tuple(np.empty((7, theta_i.size)))

@@ -100,7 +100,7 @@ _MIDDLE = 0.55
 _LEAST_SIGMA = 1e-9
 """Rms height below which a surface is as good as flat [um]."""
 _BETWEEN_INCIDENCES = 4
-"""Steps of the closure of the energy from one of these to the next: what heights say of coherent light varies faster than integrals of the halo."""
+"""Steps of the closure of the energy from one integrated incidence to the next: what heights say of coherent light varies faster than the halo."""
 _NEARLY_GRAZING = 89.9999
 """Incidence in place of 90° [degree], at which what the facets return of the light has reached its limit."""
 _LONG_LOBE = 0.5
@@ -752,7 +752,7 @@ def _closed_scattered(
     wavelength, closure, factor = bsdf["wavelength"].values, surface.closure, bsdf["halo_closure"]
     assert closure is not None
     few, directions = _evenly(wavelength.size, nodes.wavelengths), _directions(bsdf, azimuths, nodes)
-    incidences, arcs = factor.shape[0], factor.shape[1] if factor.ndim == 3 else 1
+    incidences, arcs = factor.shape[0], nodes.closure_arcs
     integrals = _lobe_integrals(surface, bsdf, few, incidences * arcs)
     # The light is linear in the factors of the outgoing directions.
     of_nodes = factor.sel(closure_wavelength=wavelength[few]).values.reshape(-1, few.size)

@@ -18,6 +18,9 @@ from brdfpipe.geometry import Array, HalfVector
 _TINY = 1e-300
 _EDGE = 2  # nodes by which a spline is continued as its mirror image
 
+Weights = tuple[float, float, float, float]
+"""Of the four nodes about a place, for a cubic spline."""
+
 
 class HaloTable(NamedTuple):
     """A cubic spline through ln(K/g) over phase variance, frequency and azimuth, all evenly spaced."""
@@ -260,14 +263,6 @@ def polarisation_factor(pair: HalfVector, azimuth: Array, n: Array, k: Array) ->
     return result
 
 
-def reflectance(cosine: Array, n: Array, k: Array) -> Array:
-    """Fresnel's reflectance for unpolarised light of a body with n >= 1 or k > 0, (directions, wavelength), of cosines (directions,)."""
-    result = np.empty((cosine.size, n.size))
-    cosine, n, k = (np.ascontiguousarray(values, dtype=float) for values in (cosine, n, k))
-    _reflectance(cosine, n, k, bool(k.any()), result)
-    return result
-
-
 @compiled
 def _root(square: float, imaginary: float) -> tuple[float, float]:
     """√(x + iy) of y >= 0, with real and imaginary part >= 0."""
@@ -340,25 +335,6 @@ def _denominators(
 
 
 @compiled
-def _reflectance(cosines: Array, n: Array, k: Array, absorbs: bool, result: Array) -> None:
-    contrast, imaginary = (n - 1) * (n + 1) - k * k, 2 * n * k
-    power = contrast * contrast + imaginary * imaginary
-    for j in range(cosines.size):
-        c = cosines[j]
-        squared = c * c
-        for w in range(n.size):
-            square, ahead, aside = contrast[w] + squared, (contrast[w] + 2) * squared - 1, imaginary[w] * squared
-            if absorbs:
-                root, root_imaginary = _root(square, imaginary[w])
-            else:
-                root, root_imaginary = math.sqrt(square if square > 0 else 0.0), 0.0
-            of_s, of_p = _denominators(c, contrast[w], imaginary[w], root, root_imaginary)
-            f_s = power[w] * (of_s * of_s)
-            f_p = power[w] * of_p * ((ahead * ahead + aside * aside) * of_p)
-            result[j, w] = ((f_s if f_s < 1 else 1.0) + (f_p if f_p < 1 else 1.0)) * 0.5
-
-
-@compiled
 def _mirrored(place: float, last: int) -> float:
     """A fractional index between the first node and the last, as if the table went on as its mirror image."""
     if place <= last:
@@ -368,7 +344,7 @@ def _mirrored(place: float, last: int) -> float:
 
 
 @compiled
-def _basis(x: float) -> tuple[float, float, float, float]:
+def _basis(x: float) -> Weights:
     """The uniform cubic B-splines about a position between its two middle ones, 0 <= x <= 1."""
     y = 1 - x
     first, second, last = y * y * y / 6, 2 / 3 - x * x * (1 - x / 2), x * x * x / 6
@@ -472,7 +448,7 @@ def _read_logarithms(
 
 
 @compiled
-def _between_four(c: Array, first: np.uintp, step: np.uintp, b: tuple[float, float, float, float]) -> float:
+def _between_four(c: Array, first: np.uintp, step: np.uintp, b: Weights) -> float:
     near = b[0] * c[first] + b[1] * c[first + step]
     return near + (b[2] * c[first + np.uintp(2) * step] + b[3] * c[first + np.uintp(3) * step])
 
@@ -482,8 +458,8 @@ def _of_one(
     c: Array,
     first: np.uintp,
     width: np.uintp,
-    a: tuple[float, float, float, float],
-    b: tuple[float, float, float, float],
+    a: Weights,
+    b: Weights,
 ) -> float:
     one = np.uintp(1)
     near = a[0] * _between_four(c, first, one, b) + a[1] * _between_four(c, first + width, one, b)
@@ -496,8 +472,8 @@ def _of_two(
     c: Array,
     first: np.uintp,
     width: np.uintp,
-    a: tuple[float, float, float, float],
-    b: tuple[float, float, float, float],
+    a: Weights,
+    b: Weights,
 ) -> tuple[float, float]:
     """Of two tables side by side."""
     transform = order = 0.0

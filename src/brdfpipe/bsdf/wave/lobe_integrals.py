@@ -73,7 +73,7 @@ class LobeIntegrals:
             body = Body(
                 facet_share,
                 halo_kernel.polarisation_factor(pair, angles[3] - angles[1], self.n, self.k),
-                halo_kernel.reflectance(pair.cos_zeta, self.n, self.k),
+                evaluation_kernel.reflectances(pair.cos_zeta, self.n, self.k),
                 np.empty((0, 0))
                 if further is None
                 else np.ascontiguousarray(np.broadcast_to(further, facet_share.shape)),
