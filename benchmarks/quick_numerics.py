@@ -28,8 +28,6 @@ from brdfpipe.scenes.scene_keys import METRIC_UNITS
 PROJECT = Path(__file__).resolve().parents[1]
 PAGE = PROJECT / "docs" / "scenes.md"
 RECORD = PROJECT / "benchmarks" / "results" / "quick_numerics.json"
-LAY = "ridges"
-"""Kind of surface that has a lay."""
 FIRST_SEED = 20_000
 """Others than those of the materials on which the planner's errors are measured."""
 MODELS = {"fullest": FULLEST, "Smith's masking": Candidate(masking="height-correlated")}
@@ -47,6 +45,8 @@ class Trial(NamedTuple):
 
     seed: int
     kind: str
+    lay: str
+    """A key of :data:`brdfpipe.scenes.numerics.USES`"""
     model: str
     metric: str
     error: float
@@ -73,17 +73,21 @@ def main(materials: int) -> None:
 def tried(seed: int) -> list[Trial]:
     """A random material with each model that it does not refuse, for each metric that may have fewer numbers."""
     kind, inputs = random_material(seed)
+    lay = "lay" if inputs.lay else "no lay"
     trials: list[Trial] = []
     for name, candidate in MODELS.items():
-        for metric, use in USES["lay" if inputs.lay else "no lay"].items():
-            try:
-                (fine, fine_time), (quick, quick_time) = (
-                    timed(candidate, inputs, numerics) for numerics in (FINE, use.numerics)
-                )
-            except BrdfpipeError:
-                continue
+        try:
+            built = {
+                numerics: timed(candidate, inputs, numerics)
+                for numerics in (FINE, *{use.numerics for use in USES[lay].values()})
+            }
+        except BrdfpipeError:
+            continue
+        fine, fine_time = built[FINE]
+        for metric, use in USES[lay].items():
+            quick, quick_time = built[use.numerics]
             error = max(METRICS[metric].error(quick, fine, load_scene(one).domain).value for one in SCENES[metric])
-            trials.append(Trial(seed, kind, name, metric, float(f"{error:.3g}"), fine_time, quick_time))
+            trials.append(Trial(seed, kind, lay, name, metric, float(f"{error:.3g}"), fine_time, quick_time))
     return trials
 
 
@@ -103,7 +107,7 @@ def table(trials: list[Trial]) -> str:
     statements = []
     for lay, uses in USES.items():
         for metric, use in uses.items():
-            of_metric = [trial for trial in trials if trial.metric == metric and (trial.kind == LAY) == (lay == "lay")]
+            of_metric = [trial for trial in trials if (trial.lay, trial.metric) == (lay, metric)]
             if not of_metric:
                 continue
             unit = METRIC_UNITS[metric]
