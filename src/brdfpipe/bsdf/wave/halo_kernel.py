@@ -278,7 +278,9 @@ def _light_by_order(
 
 def _facet_light(pairs: Pairs, fine: OrderTable, um: Array, body: Body) -> Array:
     """What a surface reflects as facets, with finer roughness upon them, for their share [sr-1], (directions, wavelength)."""
-    light, of_fine, undimmed = np.empty(body.facet_share.shape), _NOTHING, _NOTHING
+    if not body.facet_share.any():
+        return np.zeros_like(body.facet_share)
+    light, of_fine, undimmed = np.empty_like(body.facet_share), _NOTHING, _NOTHING
     if fine.coefficients.size:
         of_fine = _read(fine, pairs.facet_slope, pairs, um, 1 - body.facet_share, 1)[0]
         undimmed = np.exp(-((2 * np.pi * fine.sigma / um * pairs.cosines[:, None]) ** 2))

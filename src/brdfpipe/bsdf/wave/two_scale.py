@@ -647,17 +647,22 @@ def _in_blocks(
 
     ``of_block`` is given the pairs of a block and their angles. ``compiled`` is whether the pairs are computed by compiled code.
     """
-    theta_i, phi_i, theta_o, phi_o = angles
-    result = np.zeros((theta_i.size, *shape))
-    above = np.flatnonzero((theta_i < 90) & (theta_o < 90))
+    theta_i, _, theta_o, _ = angles
+    above = (theta_i < 90) & (theta_o < 90)
+    everywhere = bool(above.all())
+    selected = angles if everywhere else tuple(angle[above] for angle in angles)
+    values = np.empty((selected[0].size, *shape))
     step = max(block // int(np.prod(shape)), 64)
     pairs: Callable[..., HalfVector] = half_vector
     if compiled:
         from brdfpipe.bsdf.microfacet import evaluation_kernel
 
         pairs = evaluation_kernel.half_vectors
-    for start in range(0, above.size, step):
-        at = above[start : start + step]
-        angles_at = theta_i[at], phi_i[at], theta_o[at], phi_o[at]
-        result[at] = of_block(pairs(*angles_at), angles_at)
+    for start in range(0, len(values), step):
+        one, two, three, four = (angle[start : start + step] for angle in selected)
+        values[start : start + step] = of_block(pairs(one, two, three, four), (one, two, three, four))
+    if everywhere:
+        return values
+    result = np.zeros((theta_i.size, *shape))
+    result[above] = values
     return result
