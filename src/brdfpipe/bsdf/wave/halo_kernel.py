@@ -415,7 +415,7 @@ def _mirrored(place: float, last: int) -> float:
 def _basis(x: float) -> Weights:
     """The uniform cubic B-splines about a position between its two middle ones, 0 <= x <= 1."""
     y = 1 - x
-    first, second, last = y * y * y / 6, 2 / 3 - x * x * (1 - x / 2), x * x * x / 6
+    first, second, last = y * y * y * (1 / 6), 2 / 3 - x * x * (1 - x * 0.5), x * x * x * (1 / 6)
     return first, second, 1 - (first + second + last), last
 
 
@@ -476,81 +476,63 @@ def _read_logarithms(
     last_row, last_column = rows - 2 * _EDGE - 1, columns - 2 * _EDGE - 1
     steps_a_phase, steps_a_frequency = 1 / table.phase_step, 1 / table.frequency_step
     flat, limits = table.coefficients.reshape(table.coefficients.size), table.spectrum.reshape(table.spectrum.size)
-    values, leaves_out = result.shape[0], left_out.size > 0
+    few, leaves_out, one, two = along.shape[1], left_out.size > 0, np.uintp(1), np.uintp(2)
+    width, step = np.uintp(tables * columns * azimuths), np.uintp(tables * azimuths)
+    first, weights = np.empty(few, np.int64), np.empty((8, few))
     for j in range(along.shape[0]):
-        for w in range(along.shape[1]):
-            if leaves_out and left_out[j, w] == 1:
-                for number in range(values):
-                    result[number, j, w] = 0.0
-                continue
+        if leaves_out and left_out[j].min() == 1:
+            result[:, j] = 0.0
+            continue
+        # The weights of all wavelengths before any node is read: the compiler computes several at once.
+        for w in range(few):
             row = (log_phase[w] + log_cosines[j]) * steps_a_phase
             row = _mirrored(row if row > 0 else 0.0, last_row)
             column = _mirrored(along[j, w] * steps_a_frequency, last_column)
-            m, n = np.int64(row), np.int64(column)
-            a, b = _basis(row - m), _basis(column - n)
-            m, n = m + _EDGE - 1, n + _EDGE - 1
-            if azimuths == 1:
-                first, width = np.uintp(tables * (m * columns + n)), np.uintp(tables * columns)
-                if tables == 1:
-                    result[0, j, w] = _of_one(flat, first, width, a, b)
-                else:
-                    result[0, j, w], result[1, j, w] = _of_two(flat, first, width, a, b)
-                if values == 3:
-                    result[2, j, w] = _between_four(limits, np.uintp(n), np.uintp(1), b)
-            else:
-                k = np.int64(azimuth[j])
-                around = _basis(azimuth[j] - k)
-                k -= 1
-                transform = order = limit = 0.0
+            m, n = np.floor(row), np.floor(column)
+            weights[0, w], weights[1, w], weights[2, w], weights[3, w] = _basis(row - m)
+            weights[4, w], weights[5, w], weights[6, w], weights[7, w] = _basis(column - n)
+            first[w] = np.int64((m + (_EDGE - 1)) * columns + (n + (_EDGE - 1)))
+        k = np.int64(azimuth[j])
+        around = _basis(azimuth[j] - k)
+        for w in range(few):
+            transform = order = 0.0
+            if leaves_out and left_out[j, w] == 1:
+                pass
+            elif azimuths == 1:
+                at, b = step * np.uintp(first[w]), (weights[4, w], weights[5, w], weights[6, w], weights[7, w])
                 for x in range(4):
+                    transform += weights[x, w] * _between_four(flat, at, step, b)
+                    if tables == 2:
+                        order += weights[x, w] * _between_four(flat, at + one, step, b)
+                    at += width
+            else:
+                start = step * np.uintp(first[w]) + two * np.uintp(k - 1)
+                for x in range(4):
+                    at = start
                     for y in range(4):
-                        first = np.uintp(tables * (((m + x) * columns + n + y) * azimuths + k))
-                        part = a[x] * b[y]
-                        transform += part * _between_four(flat, first, np.uintp(2), around)
-                        order += part * _between_four(flat, first + np.uintp(1), np.uintp(2), around)
-                result[0, j, w], result[1, j, w] = transform, order
-                if values == 3:
-                    for y in range(4):
-                        limit += b[y] * _between_four(limits, np.uintp((n + y) * azimuths + k), np.uintp(1), around)
-                    result[2, j, w] = limit
+                        part = weights[x, w] * weights[4 + y, w]
+                        transform += part * _between_four(flat, at, two, around)
+                        order += part * _between_four(flat, at + one, two, around)
+                        at += step
+                    start += width
+            result[0, j, w] = transform
+            if tables == 2:
+                result[1, j, w] = order
+        for w in range(few if result.shape[0] == 3 else 0):
+            column, limit = first[w] % columns, 0.0
+            for y in range(4):
+                if azimuths == 1:
+                    limit += weights[4 + y, w] * limits[np.uintp(column + y)]
+                else:
+                    start = np.uintp((column + y) * azimuths + k - 1)
+                    limit += weights[4 + y, w] * _between_four(limits, start, one, around)
+            result[2, j, w] = limit
 
 
 @compiled
 def _between_four(c: Array, first: np.uintp, step: np.uintp, b: Weights) -> float:
     near = b[0] * c[first] + b[1] * c[first + step]
     return near + (b[2] * c[first + np.uintp(2) * step] + b[3] * c[first + np.uintp(3) * step])
-
-
-@compiled
-def _of_one(
-    c: Array,
-    first: np.uintp,
-    width: np.uintp,
-    a: Weights,
-    b: Weights,
-) -> float:
-    one = np.uintp(1)
-    near = a[0] * _between_four(c, first, one, b) + a[1] * _between_four(c, first + width, one, b)
-    first += np.uintp(2) * width
-    return near + (a[2] * _between_four(c, first, one, b) + a[3] * _between_four(c, first + width, one, b))
-
-
-@compiled
-def _of_two(
-    c: Array,
-    first: np.uintp,
-    width: np.uintp,
-    a: Weights,
-    b: Weights,
-) -> tuple[float, float]:
-    """Of two tables side by side."""
-    transform = order = 0.0
-    two = np.uintp(2)
-    for m in range(4):
-        transform += a[m] * _between_four(c, first, two, b)
-        order += a[m] * _between_four(c, first + np.uintp(1), two, b)
-        first += width
-    return transform, order
 
 
 @compiled
