@@ -647,7 +647,7 @@ def _lobe_integrals(surface: RoughSurface, bsdf: xr.Dataset, few: NDArray[np.int
 def _closure_corners(bsdf: xr.Dataset, angles: Angles, incidences: int, arcs: int) -> Corners:
     """Nodes of the closure about each outgoing direction."""
     ellipse = ellipse_of(bsdf) if arcs > 1 else None
-    return closure_corners(np.cos(np.radians(angles[2])), angles[3], incidences, arcs, ellipse)
+    return closure_corners(np.cos(np.radians(angles[2])), angles[3], incidences, arcs, ellipse, compiled=True)
 
 
 def _height_variance(psd: xr.Dataset, sigma: float, change: Array) -> Array:

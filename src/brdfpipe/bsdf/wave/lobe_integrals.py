@@ -40,7 +40,7 @@ class LobeIntegrals:
         surface = self.surface
         assert surface.halo is not None
         pair = evaluation_kernel.half_vectors(*angles)
-        lobe = Lobe(surface.compiled_pairs(pair, (angles[1], angles[3]), mirrors=scatters), weight, *corners)
+        lobe = Lobe(surface.compiled_pairs(pair, angles), weight, *corners)
         body = surface.compiled_body(pair, angles, self.wavelength, self.n, self.k) if scatters else None
         return halo_kernel.lobe_sums(
             lobe,

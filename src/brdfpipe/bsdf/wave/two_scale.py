@@ -47,7 +47,7 @@ from brdfpipe.masking.modes import PHYSICAL_MASKINGS
 from brdfpipe.optics.fresnel_equations import reflectance_of
 
 if TYPE_CHECKING:
-    from brdfpipe.bsdf.microfacet.evaluation_kernel import FacetTables
+    from brdfpipe.bsdf.microfacet.evaluation_kernel import FacetTables, LayFacetTables
     from brdfpipe.bsdf.wave.halo_kernel import Body, OrderTable, Pairs, Passage
 
 Angles = tuple[Array, Array, Array, Array]
@@ -179,22 +179,24 @@ class Relief:
         assert self.facets.surface is not None
         return self.facets.surface
 
-    def visible_mirrors(self, pair: HalfVector, azimuths: Azimuths) -> Array:
-        """(1 + s²)² G2 / (4 cos θ_i cos θ_o) of the facets of pairs, (directions,), by compiled code where it covers their masking."""
+    def compiled_facets(self, pair: HalfVector, angles: Angles) -> tuple[Array, Array]:
+        """(1 + s²)² G2 / (4 cos θ_i cos θ_o) and P22 of the facets of pairs, (directions,) each, by compiled code where it covers their masking."""
         from brdfpipe.bsdf.microfacet import evaluation_kernel
 
-        if self._compiled_facets is not None:
-            return evaluation_kernel.visible_mirrors(self._compiled_facets, pair)
-        spread = 1 + pair.slope_squared
-        return np.asarray(spread * spread * self.surface.visibility(pair, *azimuths, self.masking) / 4)
+        if self._facet_tables is not None:
+            return evaluation_kernel.facets(self._facet_tables, angles)
+        azimuths, spread = (angles[1], angles[3]), 1 + pair.slope_squared
+        visible = spread * spread * self.surface.visibility(pair, *azimuths, self.masking) / 4
+        return np.asarray(visible), self.surface.p22(pair, *azimuths)
 
     @cached_property
-    def _compiled_facets(self) -> FacetTables | None:
+    def _facet_tables(self) -> FacetTables | LayFacetTables | None:
         from brdfpipe.bsdf.microfacet import evaluation_kernel
 
-        if not (self.surface.isotropic and self.masking in PHYSICAL_MASKINGS):
+        if self.masking not in PHYSICAL_MASKINGS:
             return None
-        return evaluation_kernel.FacetTables.of(self.surface, self.masking)
+        tables = evaluation_kernel.FacetTables if self.surface.isotropic else evaluation_kernel.LayFacetTables
+        return tables.of(self.surface, self.masking)
 
     def undimmed(self, cosines: Array, wavelength: Array) -> Array:
         """Share e^(−g_f) of the facets' reflection that the finer roughness leaves, (…, wavelength)."""
@@ -266,10 +268,10 @@ class EnergyClosure(NamedTuple):
         factor = self.factor.reshape(-1, self.wavelength.size)
         return np.asarray(factor[:, before] * (1 - part) + factor[:, after] * part)
 
-    def corners(self, cosine: Array, azimuth: Array) -> Corners:
+    def corners(self, cosine: Array, azimuth: Array, *, compiled: bool = False) -> Corners:
         """The nodes about directions of cosines and azimuths [degree]."""
         arcs = 1 if self.ellipse is None else self.factor.shape[1]
-        return closure_corners(cosine, azimuth, self.factor.shape[0], arcs, self.ellipse)
+        return closure_corners(cosine, azimuth, self.factor.shape[0], arcs, self.ellipse, compiled=compiled)
 
     def coherent_share(self, cosine: Array, azimuth: Array, wavelength: Array) -> Array:
         """Share of the mirror reflection that is coherent [1], of the same."""
@@ -301,17 +303,19 @@ def closure_arcs(count: int) -> Array:
     return np.arange(count) * 180.0 / count
 
 
-def closure_corners(cosine: Array, azimuth: Array, incidences: int, arcs: int, ellipse: Ellipse | None) -> Corners:
+def closure_corners(
+    cosine: Array, azimuth: Array, incidences: int, arcs: int, ellipse: Ellipse | None, *, compiled: bool = False
+) -> Corners:
     """The nodes of a closure of so many incidences and arcs about directions of cosines and azimuths [degree] (directions…).
 
-    ``ellipse`` is that of the lay; without one there is one arc.
+    ``ellipse`` is that of the lay; without one there is one arc. ``compiled``: by compiled code, of (directions,).
     """
     place = np.minimum(closure_place(cosine, incidences), incidences - 1)
     row = np.minimum(place.astype(int), incidences - 2)
     node, share = np.stack([row, row + 1], axis=-1), np.stack([1 - place + row, place - row], axis=-1)
     if ellipse is None:
         return node, share
-    around = closure_arc_place(ellipse, azimuth, arcs)
+    around = closure_arc_place(ellipse, azimuth, arcs, compiled=compiled)
     before = np.floor(around).astype(int)
     column = np.stack([before % arcs, (before + 1) % arcs], axis=-1)
     part = np.stack([1 - around + before, around - before], axis=-1)
@@ -321,9 +325,15 @@ def closure_corners(cosine: Array, azimuth: Array, incidences: int, arcs: int, e
     ).reshape(four)
 
 
-def closure_arc_place(ellipse: Ellipse, azimuth: Array, count: int) -> Array:
-    """Place [1], from 0 to ``count``, of azimuths [degree] among the numbers of as many arcs."""
-    return np.asarray(azimuth_to_arc(ellipse, azimuth) % 180 * (count / 180))
+def closure_arc_place(ellipse: Ellipse, azimuth: Array, count: int, *, compiled: bool = False) -> Array:
+    """Place [1], from 0 to ``count``, of azimuths [degree] among the numbers of as many arcs; ``compiled``: of (directions,)."""
+    if compiled:
+        from brdfpipe.bsdf.microfacet import evaluation_kernel
+
+        arc = evaluation_kernel.arcs(ellipse, azimuth)
+    else:
+        arc = azimuth_to_arc(ellipse, azimuth)
+    return np.asarray(arc % 180 * (count / 180))
 
 
 @dataclass(frozen=True)
@@ -411,9 +421,10 @@ class RoughSurface:
             closure = None
             if self.closure is not None and factor is not None:
                 around = ((pair.cos_i, block[1]), (pair.cos_o, block[3]))
-                closure = halo_kernel.Closure(factor, tuple(self.closure.corners(*of_one) for of_one in around))
+                corners = tuple(self.closure.corners(*of_one, compiled=True) for of_one in around)
+                closure = halo_kernel.Closure(factor, corners)
             return halo_kernel.surface_light(
-                self.compiled_pairs(pair, (block[1], block[3])),
+                self.compiled_pairs(pair, block),
                 *self.order_tables,
                 wavelength,
                 self.compiled_body(pair, block, wavelength, n, k),
@@ -423,26 +434,24 @@ class RoughSurface:
 
         return _in_blocks(angles, (wavelength.size,), of_block, compiled=True)
 
-    def compiled_pairs(self, pair: HalfVector, azimuths: Azimuths, *, mirrors: bool = True) -> Pairs:
-        """Pairs of directions of a surface with facets for compiled code; ``mirrors``: with the BRDF of facets as perfect mirrors."""
+    def compiled_pairs(self, pair: HalfVector, angles: Angles) -> Pairs:
+        """Pairs of directions of a surface with facets for compiled code."""
         from brdfpipe.bsdf.wave.halo_kernel import Pairs
 
-        relief, facet_slope = self.relief, np.sqrt(pair.slope_squared)
-        assert relief is not None
-        visible, cosines, none = (
-            relief.visible_mirrors(pair, azimuths),
-            pair.cos_i + pair.cos_o,
-            np.zeros_like(facet_slope),
-        )
-        slope, column = (facet_slope, none) if self.halo is None else self.halo.slope_and_azimuth(pair, azimuths)
+        facet_slope, cosines = np.sqrt(pair.slope_squared), pair.cos_i + pair.cos_o
+        assert self.relief is not None
+        visible, density = self.relief.compiled_facets(pair, angles)
+        slope, column = facet_slope, np.empty(0)
+        if self.halo is not None:
+            slope, column = self.halo.slope_and_azimuth(pair, (angles[1], angles[3]))
         return Pairs(
             slope,
             facet_slope,
-            column if column.size else none,
+            column if column.size else np.zeros_like(slope),
             cosines,
             pair.cos_i * pair.cos_o,
             visible * cosines**2,
-            relief.surface.p22(pair, *azimuths) * visible if mirrors else none,
+            density * visible,
         )
 
     def compiled_body(self, pair: HalfVector, angles: Angles, wavelength: Array, n: Array, k: Array) -> Body:
