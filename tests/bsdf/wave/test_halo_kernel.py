@@ -1,4 +1,4 @@
-"""The compiled halo: its table, its polarisation factor and its half vectors, against the arrays of numpy."""
+"""The compiled halo, its table, polarisation factor and half vectors, and the light of waves and facets, against the arrays of numpy."""
 
 from __future__ import annotations
 

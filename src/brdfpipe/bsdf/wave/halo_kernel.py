@@ -1,4 +1,4 @@
-"""Compiled halo of many directions on one core: the table and the polarisation factor of :mod:`brdfpipe.bsdf.wave.halo`.
+"""Compiled light of many directions on one core: the halo of :mod:`brdfpipe.bsdf.wave.halo`, and that of :mod:`brdfpipe.bsdf.wave.two_scale`.
 
 All compiled functions are in this module, because the compiler's cache of a function does not see changes in other modules.
 """

@@ -75,7 +75,7 @@ _OF_HALO, _OF_CLOSURE = frozenset({"sigma", "log_halo"}), frozenset({"halo_closu
 """Variables of the halo alone, and of its closure."""
 
 MANY_HALO_VALUES = 2**13
-"""Values of a call from which on the halo is read by compiled code: loading it takes as long as a dozen such calls save, and whoever asks for
+"""Values of a call from which on they are computed by compiled code: loading it takes as long as a dozen such calls save, and whoever asks for
 so many values seldom makes one call."""
 _BLOCK = 2**15
 """Values that are computed together, so that their arrays stay in the processor's cache."""
