@@ -290,15 +290,13 @@ def window_nodes(beam: Beam, lobe: float) -> WindowNodes:
     lobe_across = max(lobe * np.cos(np.radians(beam.angle)), 1e-9)
     u, weight_u = _panels(light.u, lobe, window.low_u, window.high_u, beam.order)
     v, weight_v = _panels(light.v, lobe_across, window.low_v, window.high_v, beam.order)
-    u, v = np.broadcast_arrays(u[:, :, None], v[:, None, :])
-    weight = weight_u[:, :, None] * weight_v[:, None, :] / (1 + u**2 + v**2) ** 1.5
     # Most panels are clipped to the window, and have no width.
-    used = weight > 0
-    theta_o, phi_o = directions(u[used], v[used], beam.angle)
-    point = np.nonzero(used)[0]
-    return WindowNodes(
-        (light.theta[point], light.phi[point], theta_o, phi_o), weight[used] * np.cos(np.radians(theta_o)), point
-    )
+    point, column, row = np.nonzero((weight_u > 0)[:, :, None] & (weight_v > 0)[:, None, :])
+    u, v, weight = u[point, column], v[point, row], weight_u[point, column] * weight_v[point, row]
+    squared = 1 + u**2 + v**2
+    theta_o, phi_o = directions(u, v, beam.angle)
+    weight *= np.cos(np.radians(theta_o)) / (squared * np.sqrt(squared))
+    return WindowNodes((light.theta[point], light.phi[point], theta_o, phi_o), weight, point)
 
 
 def _panels(centre: Array, scale: float, low: float, high: float, order: int) -> tuple[Array, Array]:

@@ -17,7 +17,7 @@ from scipy.special import erf
 from brdfpipe import facets, vocabulary
 from brdfpipe.bsdf.microfacet import evaluation_kernel as kernel
 from brdfpipe.bsdf.microfacet import model
-from brdfpipe.bsdf.microfacet.anisotropic_quadrature import axis_ratio, azimuth_to_arc
+from brdfpipe.bsdf.microfacet.anisotropic_quadrature import azimuth_to_arc
 from brdfpipe.bsdf.microfacet.builder import build
 from brdfpipe.bsdf.microfacet.microsurface import Microsurface
 from brdfpipe.bsdf.microfacet.model import Model
@@ -116,13 +116,9 @@ def test_elementary_functions_are_those_of_numpy():
 @pytest.mark.parametrize("ratio", [1.0, 0.5, 0.01])
 def test_arcs_of_an_ellipse_are_the_elliptic_integral(ratio):
     ellipse = Ellipse(0.3 * ratio, 0.3, 20.0)
-    bsdf = samples.brushed_bsdf(0.1, 0.3)
-    tables = kernel.tables_of(model.Microsurface.of(bsdf), "separable", Model.of(bsdf, None).albedo, None)
-    found_ratio, wide = axis_ratio(ellipse)
-    tables = tables._replace(wide=wide, landen=kernel._landen_steps(found_ratio))
-    azimuths = np.random.default_rng(0).uniform(-720, 720, 300)
-    arcs = np.empty(300)
-    kernel._arcs(azimuths, tables, (np.empty(300), np.empty(300)), arcs)
+    # Many of one azimuth are computed once.
+    azimuths = np.append(np.random.default_rng(0).uniform(-720, 720, 600), np.full(1200, 33.0))
+    arcs = kernel.arcs(ellipse, azimuths)
     difference = (arcs - azimuth_to_arc(ellipse, azimuths) + 180) % 360 - 180
     assert np.abs(difference).max() < 1e-10
 
@@ -367,17 +363,32 @@ def test_a_uniform_surface_is_the_spline_between_its_nodes():
 
 
 @pytest.mark.parametrize("masking", ["height-correlated", "separable", "measured"])
-def test_visible_mirrors_are_those_of_numpy(masking):
+def test_visible_facets_are_those_of_numpy(masking):
     random = np.random.default_rng(3)
     ratio = VisibilityRatio(
         np.log(random.uniform(0.7, 1.4, (9, 8, 7))), (0.96, 2.0), np.array([0.0, 0.5, 1.0]), random.random(3)
     )
     surface = replace(Microsurface.of(facets.analytic("ggx", 0.3)), ratio=ratio)
     theta, phi = np.degrees(np.arccos(random.uniform(0.01, 1, (2, 700)))), random.uniform(0, 360, (2, 700))
+    check_facets(surface, masking, kernel.FacetTables.of(surface, masking), theta, phi)
+
+
+def check_facets(surface, masking, tables, theta, phi):
+    """Visibility and density of the facets of pairs of directions are those of numpy."""
     pair = half_vector(theta[0], phi[0], theta[1], phi[1])
-    found = kernel.visible_mirrors(kernel.FacetTables.of(surface, masking), pair)
-    expected = surface.mirrors(pair, surface.visibility(pair, *phi, masking), *phi) / surface.p22(pair, *phi)
-    np.testing.assert_allclose(found, expected, rtol=1e-11)
+    visible, density = kernel.facets(tables, (theta[0], phi[0], theta[1], phi[1]))
+    spread = (1 + pair.slope_squared) ** 2
+    np.testing.assert_allclose(visible, spread * surface.visibility(pair, *phi, masking) / 4, rtol=1e-11)
+    np.testing.assert_allclose(density, surface.p22(pair, *phi), rtol=1e-11)
+
+
+@pytest.mark.parametrize("masking", ["height-correlated", "separable"])
+@pytest.mark.parametrize("incidences", [1, 700])
+def test_visible_facets_with_a_lay_are_those_of_numpy(masking, incidences):
+    random, surface = np.random.default_rng(3), Microsurface.of(facets.analytic("ggx", a_x=0.1, a_y=0.4, azimuth=20))
+    theta, phi = np.degrees(np.arccos(random.uniform(0.01, 1, (2, 700)))), random.uniform(0, 360, (2, 700))
+    theta[0], phi[0] = np.resize(theta[0, :incidences], 700), np.resize(phi[0, :incidences], 700)
+    check_facets(surface, masking, kernel.LayFacetTables.of(surface, masking), theta, phi)
 
 
 @pytest.mark.parametrize("k", [0.0, 0.01, 3.0])

@@ -1,4 +1,4 @@
-"""The compiled halo: its table, its polarisation factor and its half vectors, against the arrays of numpy."""
+"""The compiled halo, its table, polarisation factor and half vectors, and the light of waves and facets, against the arrays of numpy."""
 
 from __future__ import annotations
 
@@ -7,10 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from brdfpipe import facets
+from brdfpipe.bsdf import microfacet
 from brdfpipe.bsdf.microfacet import evaluation_kernel
+from brdfpipe.bsdf.representations.microfacet import Microfacet
 from brdfpipe.bsdf.wave import halo_kernel, two_scale
 from brdfpipe.bsdf.wave.halo import Halo, Stretch, amplitudes, polarisation_factor
-from brdfpipe.bsdf.wave.two_scale import RoughSurface
+from brdfpipe.bsdf.wave.two_scale import EnergyClosure, Relief, RoughSurface
+from brdfpipe.facets.planar_density import Ellipse
 from brdfpipe.geometry import HalfVector, half_vector
 
 
@@ -75,3 +79,81 @@ def test_many_values_are_those_of_few(monkeypatch):
     few = surface.evaluate(*arguments)
     monkeypatch.setattr(two_scale, "MANY_VALUES", 1)
     np.testing.assert_allclose(surface.evaluate(*arguments), few, rtol=1e-11)
+
+
+WAVELENGTH = np.array([400.0, 550.0, 700.0])
+
+
+def rough_surface(
+    *, lay: bool = False, form: str = "ssa1", fine: bool = False, further: str = "none", index: complex = 1.5
+) -> RoughSurface:
+    """Waves, facets and closed energy from tables of random numbers: in some directions a surface is one of facets alone, in others not."""
+    random = np.random.default_rng(4)
+    given = facets.analytic("beckmann", a_x=0.1, a_y=0.3) if lay else facets.analytic("ggx", 0.3)
+    of_facets = Microfacet(
+        microfacet.build(given, index={"n": index.real, "k": index.imag}, multiple_scattering=further)
+    )
+    waves = halo(form, Stretch(30.0, 1.5) if lay else None)
+    waves = replace(waves, first_order=np.minimum(random.normal(-1.0, 0.7, waves.spline.shape), 0.1))
+    shape = (7, 6, 2) if lay else (7, 2)
+    factor = random.uniform(0.5, 2.0, shape)
+    closure = EnergyClosure(factor, np.ones(shape), np.array([380.0, 780.0]), Ellipse(0.1, 0.3, 20.0) if lay else None)
+    relief = Relief(of_facets, halo("ssa1", None) if fine else None, "height-correlated")
+    return RoughSurface(waves, relief, 0.5, 0.3, 10.0, closure)
+
+
+def check_against_numpy(surface: RoughSurface, index: complex = 1.5) -> np.ndarray:
+    """The BRDF by compiled code, which is that of numpy, also of one direction and of one wavelength."""
+    angles = directions()
+    n, k = np.full(3, index.real), np.full(3, index.imag)
+    found = replace(surface, compiled=True).evaluate(angles, WAVELENGTH, n, k)
+    expected = surface.evaluate(angles, WAVELENGTH, n, k)
+    # Above 89 degree numpy knows cosines to 1e-11 of their size.
+    steep = np.maximum(angles[0], angles[2]) < 89
+    np.testing.assert_allclose(found[steep], expected[steep], rtol=2e-12, atol=1e-16)
+    np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-16)
+    for part in (slice(0, 1), slice(7, 8)):
+        one = tuple(angle[part] for angle in angles)
+        alone = replace(surface, compiled=True).evaluate(one, WAVELENGTH[1:2], n[1:2], k[1:2])
+        np.testing.assert_allclose(alone, found[part, 1:2], rtol=1e-14)
+    return found
+
+
+@pytest.mark.parametrize("index", [1.5, 1 + 1e-9, 1.0, 1.2 + 4j, 0.2 + 3j])
+@pytest.mark.parametrize("fine", [False, True])
+def test_the_light_of_waves_and_facets_is_that_of_numpy(index, fine):
+    surface = rough_surface(fine=fine, index=complex(index))
+    pair = half_vector(*directions())
+    share = surface.facet_share(pair.cos_i + pair.cos_o, WAVELENGTH)
+    assert 0 == share.min() < share.max() == 1
+    light = check_against_numpy(surface, complex(index))
+    assert light.any() == (index != 1.0)
+
+
+@pytest.mark.parametrize("further", ["compensated", "directional"])
+def test_light_that_facets_reflect_more_than_once_is_that_of_numpy(further):
+    once, light = (check_against_numpy(rough_surface(fine=True, further=name)) for name in ("none", further))
+    assert (light >= once * (1 - 1e-12)).all()
+    assert (light > 1.001 * once).any()
+
+
+@pytest.mark.parametrize("lay", [False, True])
+@pytest.mark.parametrize("form", ["ssa1", "ghs"])
+def test_the_light_of_a_lay_and_of_other_theories_is_that_of_numpy(form, lay):
+    check_against_numpy(rough_surface(form=form, lay=lay, fine=True))
+
+
+@pytest.mark.parametrize("fine", [False, True])
+def test_the_light_of_facets_alone_or_of_waves_alone_is_that_of_numpy(fine):
+    surface = rough_surface(fine=fine)
+    check_against_numpy(replace(surface, halo=None, closure=None))
+    check_against_numpy(replace(surface, closure=None))
+    flat = replace(surface, facet_sigma=1e-6)
+    assert not flat.facet_share(np.linspace(0, 2, 9), WAVELENGTH).any()
+    check_against_numpy(flat)
+
+
+def test_other_maskings_are_those_of_numpy():
+    surface = rough_surface(fine=True)
+    assert surface.relief is not None
+    check_against_numpy(replace(surface, relief=replace(surface.relief, masking="none")))

@@ -31,13 +31,13 @@ def test_the_sums_are_those_of_single_directions(built, theta):
     surface, count = RoughSurface.of(built), built.sizes["closure_incidence"]
     wavelength, n, k = (built[name].values for name in ("wavelength", "n", "k"))
     (weight, angles), *_ = _directions(built, np.zeros(1), ENERGY_NODES)(theta)
-    corners = list(_closure_corners(built, angles, count, 1))
+    corners = _closure_corners(built, angles, count, 1)
     found = LobeIntegrals(surface, wavelength, n, k, count)(weight, angles, corners, closes=True, scatters=True)
 
     mirrors = halo_of_mirrors(surface, angles, wavelength)
     np.testing.assert_allclose(found.first_order, weight @ mirrors[..., 2], rtol=1e-10)
     by_node = np.zeros((count, wavelength.size))
-    for node, share in corners:
+    for node, share in zip(*(part.T for part in corners), strict=True):
         np.add.at(by_node, node, (share * weight)[:, None] * mirrors[..., :2].sum(axis=-1))
     np.testing.assert_allclose(found.mirror, by_node, rtol=1e-10, atol=1e-14)
     # The factors of the closure are linear in those of the nodes.
@@ -55,7 +55,7 @@ def test_a_part_of_the_sums_is_that_of_all(built):
     surface, count = RoughSurface.of(built), built.sizes["closure_incidence"]
     integrals = LobeIntegrals(surface, *(built[name].values for name in ("wavelength", "n", "k")), count)
     (weight, angles), *_ = _directions(built, np.zeros(1), ENERGY_NODES)(60.0)
-    corners = list(_closure_corners(built, angles, count, 1))
+    corners = _closure_corners(built, angles, count, 1)
     both = integrals(weight, angles, corners, closes=True, scatters=True)
     closing, scattering = (integrals(weight, angles, corners, **{part: True}) for part in ("closes", "scatters"))
     np.testing.assert_array_equal(closing.mirror, both.mirror)

@@ -31,6 +31,7 @@ from brdfpipe.bsdf.microfacet.albedo_table import AlbedoTable, lay_scale
 from brdfpipe.bsdf.microfacet.anisotropic_quadrature import axis_ratio
 from brdfpipe.bsdf.microfacet.microsurface import Microsurface
 from brdfpipe.compilation import compiled
+from brdfpipe.facets.planar_density import Ellipse, PlanarDensity
 from brdfpipe.facets.radial_density import RadialDensity
 from brdfpipe.geometry import Array, HalfVector
 from brdfpipe.masking.smith import PlanarSmith, Smith
@@ -260,8 +261,8 @@ class FacetTables(NamedTuple):
         return cls(*facets, masking == "separable", VisibilityTables.of(ratio, surface.typical_slope))
 
 
-class LayTables(NamedTuple):
-    """Facets of a surface with a lay, and its albedo."""
+class LayFacetTables(NamedTuple):
+    """Facets of a surface with a lay alone."""
 
     lay: float
     along: float
@@ -272,6 +273,31 @@ class LayTables(NamedTuple):
     """Coefficients of the uniform cubic B-spline, two more at each edge, (across, along)"""
     excess: UniformSurface
     last_excess: float
+    separable: bool
+
+    @classmethod
+    def of(cls, surface: Microsurface, masking: str) -> LayFacetTables:
+        """Of a surface with a lay and Smith's masking."""
+        density, smith = surface.density, surface.smith
+        assert isinstance(density, PlanarDensity)
+        assert isinstance(smith, PlanarSmith)
+        return cls(
+            density.ellipse.lay,
+            density.ellipse.along,
+            density.ellipse.across,
+            (density.along.end, density.across.end),
+            # Continued as mirror images over the edges, as scipy does.
+            np.pad(density.log_coefficients, 2, mode="reflect"),
+            UniformSurface.of(smith.spline),
+            smith.last,
+            masking == "separable",
+        )
+
+
+class LayTables(NamedTuple):
+    """Facets of a surface with a lay, and its albedo."""
+
+    facets: LayFacetTables
     albedo: SplineSurface
     furnace: SplineSurface
     albedo_scale: float
@@ -279,7 +305,6 @@ class LayTables(NamedTuple):
     """Azimuth of the wider axis [degree]"""
     landen: Array
     """(steps, 2) means a and b of Landen's transformation"""
-    separable: bool
     further: FurtherLight
 
 
@@ -317,31 +342,22 @@ def tables_of(
 ) -> Tables:
     """Tables of a surface with a physical masking, of its albedos, and of the light that it reflects more than once."""
     assert masking != "measured" or surface.ratio is not None
-    separable = masking == "separable"
     furnace = albedo if furnace is None else furnace
-    density, smith = surface.density, surface.smith
-    if isinstance(density, RadialDensity):
+    if isinstance(surface.density, RadialDensity):
         facets = FacetTables.of(surface, masking)
         albedos = Curve.of(albedo.spline), Curve.of(furnace.spline)
-        return IsotropicTables(facets.log_density, facets.excess, *albedos, separable, facets.visibility, further)
-    assert isinstance(smith, PlanarSmith)
-    ellipse = density.ellipse
+        return IsotropicTables(
+            facets.log_density, facets.excess, *albedos, facets.separable, facets.visibility, further
+        )
+    ellipse = surface.density.ellipse
     ratio, wide = axis_ratio(ellipse)
     return LayTables(
-        ellipse.lay,
-        ellipse.along,
-        ellipse.across,
-        (density.along.end, density.across.end),
-        # Continued as mirror images over the edges, as scipy does.
-        np.pad(density.log_coefficients, 2, mode="reflect"),
-        UniformSurface.of(smith.spline),
-        smith.last,
+        LayFacetTables.of(surface, masking),
         SplineSurface.of(albedo.surfaces),
         SplineSurface.of(furnace.surfaces),
         lay_scale(ellipse),
         wide,
         _landen_steps(ratio),
-        separable,
         further,
     )
 
@@ -595,11 +611,16 @@ def _mirrors(pair: Pair, density: Array, excess_i: Array, excess_o: Array, separ
 def _isotropic_mirrors(
     pair: Pair, work: Rows, count: int, tables: IsotropicTables | FacetTables, mirrors: Array
 ) -> None:
-    density = work[0]
-    _values(pair[0], tables.log_density, density)
-    for j in range(mirrors.size):
-        density[j] = _exponential(density[j]) if pair[0][j] <= tables.log_density.last else 0.0
+    _density(pair[0], tables.log_density, work[0])
     _mirrors_of_density(pair, work, count, tables, mirrors)
+
+
+@compiled
+def _density(slope_squared: Array, log_density: Curve, density: Array) -> None:
+    """P22."""
+    _values(slope_squared, log_density, density)
+    for j in range(density.size):
+        density[j] = _exponential(density[j]) if slope_squared[j] <= log_density.last else 0.0
 
 
 @compiled
@@ -768,7 +789,9 @@ def _weighted(c: Array, first: np.uintp, w: tuple[float, float, float, float]) -
 
 
 @compiled
-def _grid_positions(phi_i: Array, phi_o: Array, pair: Pair, tables: LayTables, across: Array, along: Array) -> None:
+def _grid_positions(
+    phi_i: Array, phi_o: Array, pair: Pair, tables: LayFacetTables, across: Array, along: Array
+) -> None:
     """Fractional indices, on the nodes of the density, of the slopes that mirror one direction into the other."""
     _, _, cosines_i, sines_i, cosines_o, sines_o, differences = pair
     # Slopes along the mean azimuth of both directions and across it, turned to those of the lay.
@@ -790,7 +813,9 @@ def _grid_positions(phi_i: Array, phi_o: Array, pair: Pair, tables: LayTables, a
 
 
 @compiled
-def _excess_with_lay(phi: Array, cosines: Array, sines: Array, tables: LayTables, rows: Rows, excess: Array) -> None:
+def _excess_with_lay(
+    phi: Array, cosines: Array, sines: Array, tables: LayFacetTables, rows: Rows, excess: Array
+) -> None:
     """Mean excess slopes towards directions; ``rows`` are work space."""
     width, turn = rows[:2]
     surface = tables.excess
@@ -814,34 +839,34 @@ def _excess_with_lay(phi: Array, cosines: Array, sines: Array, tables: LayTables
 
 
 @compiled
-def _mirrors_with_lay(
-    phi_i: Array, phi_o: Array, pair: Pair, work: Rows, count: int, tables: LayTables, mirrors: Array
+def _facets_with_lay(
+    phi_i: Array, phi_o: Array, pair: Pair, work: Rows, count: int, tables: LayFacetTables, other: Array
 ) -> None:
+    """Mean excess slopes of both directions and P22, in the first rows of the work space; so is ``other``."""
     excess_i, excess_o, density = work[:3]
-    _excess_with_lay(phi_i[:count], pair[2], pair[3], tables, (mirrors, *work[2:]), excess_i)
-    _excess_with_lay(phi_o, pair[4], pair[5], tables, (mirrors, *work[2:]), excess_o)
+    _excess_with_lay(phi_i[:count], pair[2], pair[3], tables, (other, *work[2:]), excess_i)
+    _excess_with_lay(phi_o, pair[4], pair[5], tables, (other, *work[2:]), excess_o)
     _spread(excess_i, count)
-    _grid_positions(phi_i, phi_o, pair, tables, mirrors, density)
-    _uniform_values(density, mirrors, tables.log_density, work[3:12], density)
-    for j in range(mirrors.size):
+    _grid_positions(phi_i, phi_o, pair, tables, other, density)
+    _uniform_values(density, other, tables.log_density, work[3:12], density)
+    for j in range(density.size):
         density[j] = _exponential(density[j])
-    _mirrors(pair, density, excess_i, excess_o, tables.separable, mirrors)
 
 
 @compiled
-def _arcs(azimuths: Array, tables: LayTables, rows: Rows, arcs: Array) -> None:
+def _arcs(azimuths: Array, wide: float, landen: Array, rows: Rows, arcs: Array) -> None:
     """Arcs of azimuths from the wider axis [degree], as :func:`~brdfpipe.bsdf.microfacet.anisotropic_quadrature.azimuth_to_arc`.
 
     Landen's transformation φ' = φ + ω, tan ω = (b/a) tan φ, carries an ellipse to a rounder one; the arc is φ/2ⁿ of the last.
     """
     sines, cosines = rows
-    wide, share = tables.wide, 90 / math.pi
+    share = 90 / math.pi
     for j in range(azimuths.size):
         arcs[j] = azimuths[j] - wide
         sines[j], cosines[j] = _of_degrees(arcs[j])
-    steps = tables.landen.shape[0]
+    steps = landen.shape[0]
     for step in range(steps):
-        a, b = tables.landen[step, 0], tables.landen[step, 1]
+        a, b = landen[step, 0], landen[step, 1]
         # ω − φ, within a right angle, from the vector of ω turned by −φ.
         if (a - b) * (a - b) < 4 * _SMALL_TANGENT * _SMALL_TANGENT * (a * b):
             for j in range(azimuths.size):
@@ -1199,7 +1224,8 @@ def _evaluate_with_lay(
         pair, mirrors, work, places = rows[:7], rows[7], rows[8:], rows[12:16]
         count = _distinct(polar_i, azimuth_i)
         _half_vectors(polar_i, azimuth_i, polar_o, azimuth_o, pair)
-        _mirrors_with_lay(azimuth_i, azimuth_o, pair, work, count, tables, mirrors)
+        _facets_with_lay(azimuth_i, azimuth_o, pair, work, count, tables.facets, mirrors)
+        _mirrors(pair, work[2], work[0], work[1], tables.facets.separable, mirrors)
         _reflected(mirrors, pair[1], shading, values)
         if tables.further.log_factor.size:
             _add_further_light(polar_i, azimuth_i, polar_o, azimuth_o, pair, count, tables.further, work, values)
@@ -1207,8 +1233,8 @@ def _evaluate_with_lay(
             for j in range(mirrors.size):
                 places[0][j] = _inverse_sinh((90 - polar_i[j]) / tables.albedo_scale)
                 places[2][j] = _inverse_sinh((90 - polar_o[j]) / tables.albedo_scale)
-            _arcs(azimuth_i[:count], tables, work[:2], places[1])
-            _arcs(azimuth_o, tables, work[:2], places[3])
+            _arcs(azimuth_i[:count], tables.wide, tables.landen, work[:2], places[1])
+            _arcs(azimuth_o, tables.wide, tables.landen, work[:2], places[3])
             _spread(places[1], count)
         if shading.has_base:
             _add_base_with_lay(places, count, tables.albedo, shading.base, work, values)
@@ -1368,27 +1394,65 @@ def sum_over_facets(
 
 
 @compiled
-def _visible_mirrors(whole: Pair, tables: FacetTables, out: Array) -> None:
+def _isotropic_facets(
+    theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array, tables: FacetTables, visible: Array, density: Array
+) -> None:
     space = np.empty((_ROWS, _BLOCK))
-    one, two, three, four, five, six = whole
-    for start in range(0, out.size, _BLOCK):
-        end = min(start + _BLOCK, out.size)
-        rows = _rows(space, end - start)
-        work = rows[8:]
+    for start in range(0, theta_i.size, _BLOCK):
+        block = slice(start, min(start + _BLOCK, theta_i.size))
+        rows = _rows(space, block.stop - start)
+        pair, work, count = rows[:7], rows[8:], _distinct(theta_i[block], phi_i[block])
+        _half_vectors(theta_i[block], phi_i[block], theta_o[block], phi_o[block], pair)
         work[0][:] = 1.0
-        for j in range(end - start):
-            at = start + j
-            rows[0][j], rows[1][j], rows[2][j], rows[3][j] = one[at], two[at], three[at], four[at]
-            rows[4][j], rows[5][j] = five[at], six[at]
-        _mirrors_of_density(rows[:7], work, end - start, tables, rows[7])
-        for j in range(end - start):
-            out[start + j] = rows[7][j]
+        _mirrors_of_density(pair, work, count, tables, visible[block])
+        _density(pair[0], tables.log_density, density[block])
 
 
-def visible_mirrors(tables: FacetTables, pair: HalfVector) -> Array:
-    """(1 + s²)² G2 / (4 cos θ_i cos θ_o), (directions,): the BRDF of perfectly mirroring facets over P22 at their slope s [sr-1]."""
-    result = np.empty(pair.cos_o.size)
-    _visible_mirrors(tuple(np.ascontiguousarray(part, dtype=float) for part in pair), tables, result)
+@compiled
+def _lay_facets(
+    theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array, tables: LayFacetTables, visible: Array, density: Array
+) -> None:
+    space = np.empty((_ROWS, _BLOCK))
+    for start in range(0, theta_i.size, _BLOCK):
+        block = slice(start, min(start + _BLOCK, theta_i.size))
+        rows = _rows(space, block.stop - start)
+        pair, work, count = rows[:7], rows[8:], _distinct(theta_i[block], phi_i[block])
+        _half_vectors(theta_i[block], phi_i[block], theta_o[block], phi_o[block], pair)
+        _facets_with_lay(phi_i[block], phi_o[block], pair, work, count, tables, rows[7])
+        density[block] = work[2]
+        work[2][:] = 1.0
+        _mirrors(pair, work[2], work[0], work[1], tables.separable, visible[block])
+
+
+def facets(tables: FacetTables | LayFacetTables, angles: Sequence[Array]) -> tuple[Array, Array]:
+    """(1 + s²)² G2 / (4 cos θ_i cos θ_o) and P22 of the facets of slope s that mirror one direction into the other, (directions,) each.
+
+    The product is the BRDF of perfectly mirroring facets [sr-1]; arguments as for :func:`evaluate`, of directions above the horizon.
+    """
+    one, two, three, four = (_read_only(angle) for angle in angles)
+    visible, density = np.empty(one.size), np.empty(one.size)
+    if isinstance(tables, FacetTables):
+        _isotropic_facets(one, two, three, four, tables, visible, density)
+    else:
+        _lay_facets(one, two, three, four, tables, visible, density)
+    return visible, density
+
+
+@compiled
+def _arcs_of_azimuths(azimuths: Array, wide: float, landen: Array, result: Array) -> None:
+    space = np.empty((_ROWS, _BLOCK))
+    for start in range(0, azimuths.size, _BLOCK):
+        block = slice(start, min(start + _BLOCK, azimuths.size))
+        count = _distinct(azimuths[block], azimuths[block])
+        rows = _rows(space, block.stop - start)
+        _arcs(azimuths[block][:count], wide, landen, rows[:2], result[block])
+        _spread(result[block], count)
+
+
+def arcs(ellipse: Ellipse, azimuth: Array) -> Array:
+    """As :func:`~brdfpipe.bsdf.microfacet.anisotropic_quadrature.azimuth_to_arc`, of many azimuths (directions,)."""
+    (ratio, wide), result = axis_ratio(ellipse), np.empty(azimuth.size)
+    _arcs_of_azimuths(_read_only(azimuth), wide, _landen_steps(ratio), result)
     return result
 
 

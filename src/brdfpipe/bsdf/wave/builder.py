@@ -11,7 +11,6 @@ from __future__ import annotations
 from bisect import bisect_left
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from itertools import product
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -45,11 +44,12 @@ from brdfpipe.bsdf.wave.roughness import roughness
 from brdfpipe.bsdf.wave.two_scale import (
     FACETS_ALONE,
     Angles,
+    Corners,
     EnergyClosure,
     RoughSurface,
     characteristic_function,
-    closure_arc_place,
     closure_arcs,
+    closure_corners,
     closure_nodes,
     closure_place,
     facet_share_at,
@@ -644,20 +644,10 @@ def _lobe_integrals(surface: RoughSurface, bsdf: xr.Dataset, few: NDArray[np.int
     return LobeIntegrals(surface, wavelength, n, k, nodes)
 
 
-def _closure_corners(
-    bsdf: xr.Dataset, angles: Angles, incidences: int, arcs: int
-) -> Iterator[tuple[NDArray[np.int64], Array]]:
-    """Nodes of the closure about each outgoing direction, numbered by incidence and arc, and their shares of it."""
-    place = closure_place(np.cos(np.radians(angles[2])), incidences)
-    node = np.minimum(place.astype(int), incidences - 2)
-    of_incidence = [(node, 1 - place + node), (node + 1, place - node)]
-    of_arc: list[tuple[NDArray[np.int64], Array]] = [(np.zeros_like(node), np.ones_like(place))]
-    if arcs > 1:
-        around = closure_arc_place(ellipse_of(bsdf), angles[3], arcs)
-        before = np.floor(around).astype(int)
-        of_arc = [(before % arcs, 1 - around + before), ((before + 1) % arcs, around - before)]
-    for (row, share), (column, part) in product(of_incidence, of_arc):
-        yield row * arcs + column, share * part
+def _closure_corners(bsdf: xr.Dataset, angles: Angles, incidences: int, arcs: int) -> Corners:
+    """Nodes of the closure about each outgoing direction."""
+    ellipse = ellipse_of(bsdf) if arcs > 1 else None
+    return closure_corners(np.cos(np.radians(angles[2])), angles[3], incidences, arcs, ellipse, compiled=True)
 
 
 def _height_variance(psd: xr.Dataset, sigma: float, change: Array) -> Array:

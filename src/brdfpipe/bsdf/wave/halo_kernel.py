@@ -1,4 +1,4 @@
-"""Compiled halo of many directions on one core: the table and the polarisation factor of :mod:`brdfpipe.bsdf.wave.halo`.
+"""Compiled light of many directions on one core: the halo of :mod:`brdfpipe.bsdf.wave.halo`, and that of :mod:`brdfpipe.bsdf.wave.two_scale`.
 
 All compiled functions are in this module, because the compiler's cache of a function does not see changes in other modules.
 """
@@ -65,11 +65,9 @@ class OrderTable(NamedTuple):
         return cls(tables, (before + after) * first + at * second, sigma, *phase, *frequency)
 
 
-class Lobe(NamedTuple):
-    """Directions of an integral over the light of one incidence, (directions,) each but for the last two."""
+class Pairs(NamedTuple):
+    """Pairs of directions, (directions,) each."""
 
-    weight: Array
-    """cos θ_o dω_o [sr]"""
     slope: Array
     """Of the facet that mirrors one direction into the other, stretched as the frequencies of the halo are [1]"""
     facet_slope: Array
@@ -84,19 +82,36 @@ class Lobe(NamedTuple):
     """What reflects as tilted facets, over what reflects as the mean plane does"""
     mirrors: Array
     """BRDF of the facets as perfect mirrors [sr-1]"""
+
+
+class Lobe(NamedTuple):
+    """Directions of an integral over the light of one incidence."""
+
+    pairs: Pairs
+    weight: Array
+    """cos θ_o dω_o (directions,) [sr]"""
     node: NDArray[np.int64]
     """(directions, corners) of the closure's table, between which a direction lies"""
     share: Array
     """(directions, corners) of the direction that belongs to each node"""
 
 
+class Closure(NamedTuple):
+    """What closes the energy of the halo."""
+
+    factor: Array
+    """Of either direction [1], (nodes, wavelength)"""
+    corners: tuple[tuple[NDArray[np.int64], Array], ...]
+    """Nodes about the incidences and about the exits, and their shares of them, (directions, corners) each"""
+
+
 class Body(NamedTuple):
-    """What a body does to the light of a lobe, (directions, wavelength) each."""
+    """What a body does to the light of pairs of directions, (directions, wavelength) each."""
 
     facet_share: Array
     """Share of the light that is reflected as by facets"""
     polarisation: Array
-    """Polarisation factor of waves"""
+    """Polarisation factor of waves; of size 0 where nothing reflects as waves"""
     reflectance: Array
     """Fresnel's reflectance of the facet that mirrors one direction into the other"""
     further: Array
@@ -116,9 +131,6 @@ class Sums(NamedTuple):
     """(wavelength,) of the light that is reflected as by facets, with the finer roughness upon them"""
 
 
-_NO_BODY = Body(*[np.empty((0, 0))] * 4)
-
-
 class Passage(NamedTuple):
     """Numbers of :func:`brdfpipe.bsdf.wave.two_scale.facet_share_at`."""
 
@@ -131,7 +143,8 @@ class Passage(NamedTuple):
     steep_phases: tuple[float, float]
 
 
-NO_TABLE = OrderTable(np.empty((0, 0, 0, 1)), np.empty((0, 0)), 0.0, 0.0, 1.0, 1.0, 1.0)
+_NOTHING = np.empty((0, 0))
+NO_TABLE = OrderTable(np.empty((0, 0, 0, 1)), _NOTHING, 0.0, 0.0, 1.0, 1.0, 1.0)
 
 
 def lobe_sums(
@@ -159,15 +172,46 @@ def lobe_sums(
     generalised : whether the halo is that of generalised Harvey-Shack theory, not of small slopes
     """
     um, few = wavelength * 1e-3, wavelength.size
+    pairs, around = lobe.pairs, (lobe.weight[:, None] * lobe.share, lobe.node)
     sums = Sums(np.zeros(few), np.zeros((nodes, few)), np.zeros((nodes, few)), np.zeros(few))
-    given = _NO_BODY if body is None else body
-    orders = _read(halo, lobe.slope, lobe, um, np.empty((0, 0)) if closes else given.facet_share, 3 if closes else 2)
-    if fine.coefficients.size and body is not None:
-        of_fine = _read(fine, lobe.facet_slope, lobe, um, 1 - given.facet_share, 1)[0]
-    else:
-        of_fine = np.empty((0, 0))
-    _lobe_sums(lobe, orders, of_fine, (halo.sigma, fine.sigma), um, given, closes, generalised, sums)
+    light = _light_by_order(pairs, halo, um, None if closes else body, generalised, with_limit=closes)
+    if closes:
+        geometry = (
+            lobe.weight * (4 * np.pi * halo.sigma) ** 2 * (pairs.cosines**2 / 4 if generalised else pairs.product)
+        )
+        sums.first_order[:] = np.einsum("j,jw->w", geometry, light[2]) / um**4
+        _add_to_nodes(*around, light[0] + light[1], sums.mirror)
+    if body is not None:
+        _reflect_halo(light[0], light[1], body)
+        _add_to_nodes(*around, light[0], sums.halo)
+        sums.facets[:] = np.einsum("j,jw->w", lobe.weight, _facet_light(pairs, fine, um, body))
     return sums
+
+
+def surface_light(
+    pairs: Pairs,
+    halo: OrderTable,
+    fine: OrderTable,
+    wavelength: Array,
+    body: Body,
+    closure: Closure | None,
+    *,
+    generalised: bool,
+) -> Array:
+    """BRDF of a surface without diffuse light [sr-1], (directions, wavelength); the arguments are those of :func:`lobe_sums`.
+
+    ``halo`` may be :data:`NO_TABLE`, and ``closure`` None for 1.
+    """
+    um = wavelength * 1e-3
+    result = _facet_light(pairs, fine, um, body)
+    if halo.coefficients.size and body.polarisation.size:
+        low, high = _light_by_order(pairs, halo, um, body, generalised)
+        _reflect_halo(low, high, body)
+        if closure is not None:
+            for corners in closure.corners:
+                _close(closure.factor, *corners, low)
+        result += low
+    return result
 
 
 def facet_share(passage: Passage, cosines: Array, wavelength: Array) -> Array:
@@ -205,19 +249,43 @@ def _rising_step(x: float) -> float:
     return x * x * (3 - 2 * x)
 
 
-def _read(table: OrderTable, slope: Array, lobe: Lobe, um: Array, left_out: Array, values: int) -> Array:
+def _read(table: OrderTable, slope: Array, pairs: Pairs, um: Array, left_out: Array, values: int) -> Array:
     """K/g [um2], the share of first order and the limit of K/g, (values, directions, wavelength); of the first ``values`` alone.
 
     ``left_out`` (directions, wavelength) is 1 where nobody needs them; of size 0 for nowhere.
     """
     # Logarithms and exponentials of whole arrays take a fraction of the time of single ones.
     along = np.empty((slope.size, um.size))
-    _along(slope, lobe.cosines, um, table.scale, along)
+    _along(slope, pairs.cosines, um, table.scale, along)
     np.log(along, out=along)
     result = np.empty((values, *along.shape))
     log_phase = 2 * np.log(2 * np.pi * table.sigma / um) - table.first_phase
-    _read_logarithms(table, along, 2 * np.log(lobe.cosines), log_phase, lobe.azimuth, left_out, result)
+    _read_logarithms(table, along, 2 * np.log(pairs.cosines), log_phase, pairs.azimuth, left_out, result)
     return np.exp(result, out=result)
+
+
+def _light_by_order(
+    pairs: Pairs, halo: OrderTable, um: Array, body: Body | None, generalised: bool, *, with_limit: bool = False
+) -> Array:
+    """What a halo reflects as waves and as tilted facets [sr-1], and perhaps the limit of K/g [um2], (2 or 3, directions, wavelength).
+
+    Where the surface of a ``body`` is one of facets, it is any number.
+    """
+    light = _read(halo, pairs.slope, pairs, um, _NOTHING if body is None else body.facet_share, 3 if with_limit else 2)
+    _mix_orders(pairs, um, halo.sigma, generalised, light[0], light[1])
+    return light
+
+
+def _facet_light(pairs: Pairs, fine: OrderTable, um: Array, body: Body) -> Array:
+    """What a surface reflects as facets, with finer roughness upon them, for their share [sr-1], (directions, wavelength)."""
+    if not body.facet_share.any():
+        return np.zeros_like(body.facet_share)
+    light, of_fine, undimmed = np.empty_like(body.facet_share), _NOTHING, _NOTHING
+    if fine.coefficients.size:
+        of_fine = _read(fine, pairs.facet_slope, pairs, um, 1 - body.facet_share, 1)[0]
+        undimmed = np.exp(-((2 * np.pi * fine.sigma / um * pairs.cosines[:, None]) ** 2))
+    _reflect_facets(pairs, of_fine, undimmed, fine.sigma, um, body, light)
+    return light
 
 
 class Place(NamedTuple):
@@ -347,7 +415,7 @@ def _mirrored(place: float, last: int) -> float:
 def _basis(x: float) -> Weights:
     """The uniform cubic B-splines about a position between its two middle ones, 0 <= x <= 1."""
     y = 1 - x
-    first, second, last = y * y * y / 6, 2 / 3 - x * x * (1 - x / 2), x * x * x / 6
+    first, second, last = y * y * y * (1 / 6), 2 / 3 - x * x * (1 - x * 0.5), x * x * x * (1 / 6)
     return first, second, 1 - (first + second + last), last
 
 
@@ -379,7 +447,7 @@ def _in_volume(c: Array, row: float, column: float, azimuth: float) -> float:
     return value
 
 
-# --- sums over a lobe
+# --- light of all orders
 
 
 @compiled
@@ -408,43 +476,57 @@ def _read_logarithms(
     last_row, last_column = rows - 2 * _EDGE - 1, columns - 2 * _EDGE - 1
     steps_a_phase, steps_a_frequency = 1 / table.phase_step, 1 / table.frequency_step
     flat, limits = table.coefficients.reshape(table.coefficients.size), table.spectrum.reshape(table.spectrum.size)
-    values, leaves_out = result.shape[0], left_out.size > 0
+    few, leaves_out, one, two = along.shape[1], left_out.size > 0, np.uintp(1), np.uintp(2)
+    width, step = np.uintp(tables * columns * azimuths), np.uintp(tables * azimuths)
+    first, weights = np.empty(few, np.int64), np.empty((8, few))
     for j in range(along.shape[0]):
-        for w in range(along.shape[1]):
-            if leaves_out and left_out[j, w] == 1:
-                for number in range(values):
-                    result[number, j, w] = 0.0
-                continue
+        if leaves_out and left_out[j].min() == 1:
+            result[:, j] = 0.0
+            continue
+        # The weights of all wavelengths before any node is read: the compiler computes several at once.
+        for w in range(few):
             row = (log_phase[w] + log_cosines[j]) * steps_a_phase
             row = _mirrored(row if row > 0 else 0.0, last_row)
             column = _mirrored(along[j, w] * steps_a_frequency, last_column)
-            m, n = np.int64(row), np.int64(column)
-            a, b = _basis(row - m), _basis(column - n)
-            m, n = m + _EDGE - 1, n + _EDGE - 1
-            if azimuths == 1:
-                first, width = np.uintp(tables * (m * columns + n)), np.uintp(tables * columns)
-                if tables == 1:
-                    result[0, j, w] = _of_one(flat, first, width, a, b)
-                else:
-                    result[0, j, w], result[1, j, w] = _of_two(flat, first, width, a, b)
-                if values == 3:
-                    result[2, j, w] = _between_four(limits, np.uintp(n), np.uintp(1), b)
-            else:
-                k = np.int64(azimuth[j])
-                around = _basis(azimuth[j] - k)
-                k -= 1
-                transform = order = limit = 0.0
+            m, n = np.floor(row), np.floor(column)
+            weights[0, w], weights[1, w], weights[2, w], weights[3, w] = _basis(row - m)
+            weights[4, w], weights[5, w], weights[6, w], weights[7, w] = _basis(column - n)
+            first[w] = np.int64((m + (_EDGE - 1)) * columns + (n + (_EDGE - 1)))
+        k = np.int64(azimuth[j])
+        around = _basis(azimuth[j] - k)
+        for w in range(few):
+            transform = order = 0.0
+            if leaves_out and left_out[j, w] == 1:
+                pass
+            elif azimuths == 1:
+                at, b = step * np.uintp(first[w]), (weights[4, w], weights[5, w], weights[6, w], weights[7, w])
                 for x in range(4):
+                    transform += weights[x, w] * _between_four(flat, at, step, b)
+                    if tables == 2:
+                        order += weights[x, w] * _between_four(flat, at + one, step, b)
+                    at += width
+            else:
+                start = step * np.uintp(first[w]) + two * np.uintp(k - 1)
+                for x in range(4):
+                    at = start
                     for y in range(4):
-                        first = np.uintp(tables * (((m + x) * columns + n + y) * azimuths + k))
-                        part = a[x] * b[y]
-                        transform += part * _between_four(flat, first, np.uintp(2), around)
-                        order += part * _between_four(flat, first + np.uintp(1), np.uintp(2), around)
-                result[0, j, w], result[1, j, w] = transform, order
-                if values == 3:
-                    for y in range(4):
-                        limit += b[y] * _between_four(limits, np.uintp((n + y) * azimuths + k), np.uintp(1), around)
-                    result[2, j, w] = limit
+                        part = weights[x, w] * weights[4 + y, w]
+                        transform += part * _between_four(flat, at, two, around)
+                        order += part * _between_four(flat, at + one, two, around)
+                        at += step
+                    start += width
+            result[0, j, w] = transform
+            if tables == 2:
+                result[1, j, w] = order
+        for w in range(few if result.shape[0] == 3 else 0):
+            column, limit = first[w] % columns, 0.0
+            for y in range(4):
+                if azimuths == 1:
+                    limit += weights[4 + y, w] * limits[np.uintp(column + y)]
+                else:
+                    start = np.uintp((column + y) * azimuths + k - 1)
+                    limit += weights[4 + y, w] * _between_four(limits, start, one, around)
+            result[2, j, w] = limit
 
 
 @compiled
@@ -454,99 +536,75 @@ def _between_four(c: Array, first: np.uintp, step: np.uintp, b: Weights) -> floa
 
 
 @compiled
-def _of_one(
-    c: Array,
-    first: np.uintp,
-    width: np.uintp,
-    a: Weights,
-    b: Weights,
-) -> float:
-    one = np.uintp(1)
-    near = a[0] * _between_four(c, first, one, b) + a[1] * _between_four(c, first + width, one, b)
-    first += np.uintp(2) * width
-    return near + (a[2] * _between_four(c, first, one, b) + a[3] * _between_four(c, first + width, one, b))
-
-
-@compiled
-def _of_two(
-    c: Array,
-    first: np.uintp,
-    width: np.uintp,
-    a: Weights,
-    b: Weights,
-) -> tuple[float, float]:
-    """Of two tables side by side."""
-    transform = order = 0.0
-    two = np.uintp(2)
-    for m in range(4):
-        transform += a[m] * _between_four(c, first, two, b)
-        order += a[m] * _between_four(c, first + np.uintp(1), two, b)
-        first += width
-    return transform, order
-
-
-@compiled
-def _lobe_sums(
-    lobe: Lobe,
-    orders: Array,
-    of_fine: Array,
-    sigma: tuple[float, float],
-    um: Array,
-    body: Body,
-    closes: bool,
-    generalised: bool,
-    sums: Sums,
-) -> None:
-    few, scatters = um.size, body.facet_share.size > 0
-    has_fine, has_further, corners = of_fine.size > 0, body.further.size > 0, lobe.node.shape[1]
-    low, high, light = np.empty(few), np.empty(few), np.empty(few)
-    wave_number = (2 * math.pi / um) ** 2
+def _mix_orders(pairs: Pairs, um: Array, sigma: float, generalised: bool, transform: Array, first_order: Array) -> None:
+    """Both ways in which a halo reflects, in place of K/g and of the share of first order; their amplitudes add."""
     inverse = 1 / (um * um)
     fourth = inverse * inverse
-    for j in range(lobe.weight.size):
-        weight, q, product = lobe.weight[j], lobe.cosines[j], lobe.product[j]
-        tilted = lobe.tilted[j]
-        root = math.sqrt(tilted)
-        of_waves = 1.0 if generalised else 2 * math.sqrt(product) / q
-        phase = (2 * math.pi * sigma[0] * q) ** 2
-        for w in range(few):
-            first = orders[1, j, w]
+    for j in range(transform.shape[0]):
+        q = pairs.cosines[j]
+        root, phase = math.sqrt(pairs.tilted[j]), (2 * math.pi * sigma * q) ** 2
+        of_waves = 1.0 if generalised else 2 * math.sqrt(pairs.product[j]) / q
+        for w in range(um.size):
+            first = first_order[j, w]
             first = first if first < 1 else 1.0
             a, b = first * of_waves, (1 - first) * root
-            scale = (a + b) * orders[0, j, w] * (phase * fourth[w])
-            low[w], high[w] = a * scale, b * scale
-        if closes:
-            geometry = weight * (4 * math.pi * sigma[0]) ** 2 * (q * q / 4 if generalised else product)
-            for w in range(few):
-                sums.first_order[w] += geometry * orders[2, j, w] * fourth[w]
-            for corner in range(corners):
-                node, part = lobe.node[j, corner], weight * lobe.share[j, corner]
-                for w in range(few):
-                    sums.mirror[node, w] += part * (low[w] + high[w])
-        if not scatters:
-            continue
-        for w in range(few):
+            scale = (a + b) * transform[j, w] * (phase * fourth[w])
+            transform[j, w], first_order[j, w] = a * scale, b * scale
+
+
+@compiled
+def _reflect_halo(low: Array, high: Array, body: Body) -> None:
+    """The light of a halo where the surface is not one of facets, in place of what it reflects as waves."""
+    for j in range(low.shape[0]):
+        for w in range(low.shape[1]):
             waves = 1 - body.facet_share[j, w]
-            light[w] = waves * (low[w] * body.polarisation[j, w] + high[w] * body.reflectance[j, w])
-        for corner in range(corners):
-            node, part = lobe.node[j, corner], weight * lobe.share[j, corner]
-            for w in range(few):
-                sums.halo[node, w] += part * light[w]
-        mirrors = lobe.mirrors[j]
-        for w in range(few):
-            light[w] = mirrors * body.reflectance[j, w]
+            low[j, w] = waves * (low[j, w] * body.polarisation[j, w] + high[j, w] * body.reflectance[j, w])
+
+
+@compiled
+def _reflect_facets(
+    pairs: Pairs, of_fine: Array, undimmed: Array, sigma: float, um: Array, body: Body, light: Array
+) -> None:
+    """The light of facets for their share; ``of_fine`` is K/g of the finer roughness upon them, of size 0 without any."""
+    has_fine, has_further = of_fine.size > 0, body.further.size > 0
+    inverse = 1 / (um * um)
+    for j in range(light.shape[0]):
+        mirrors = pairs.mirrors[j]
+        for w in range(um.size):
+            light[j, w] = mirrors * body.reflectance[j, w]
         if has_further:
-            for w in range(few):
-                light[w] += body.further[j, w]
+            for w in range(um.size):
+                light[j, w] += body.further[j, w]
         if has_fine:
-            geometry = (4 * math.pi * sigma[1]) ** 2 * product
-            for w in range(few):
-                if body.facet_share[j, w] > 0:
-                    ratio = of_fine[j, w] * inverse[w]
-                    g = (sigma[1] * q) ** 2 * wave_number[w]
-                    undimmed = math.exp(-g)
-                    once = geometry * inverse[w] * ratio * body.polarisation[j, w]
-                    spread = (1 - undimmed) * tilted * (g * ratio) * body.reflectance[j, w]
-                    light[w] = undimmed * (light[w] + once) + spread
-        for w in range(few):
-            sums.facets[w] += weight * body.facet_share[j, w] * light[w]
+            geometry = (4 * math.pi * sigma) ** 2 * pairs.product[j]
+            phase = (2 * math.pi * sigma * pairs.cosines[j]) ** 2 * pairs.tilted[j]
+            for w in range(um.size):
+                ratio = of_fine[j, w] * inverse[w]
+                once = geometry * inverse[w] * ratio * body.polarisation[j, w]
+                spread = (1 - undimmed[j, w]) * (phase * inverse[w] * ratio) * body.reflectance[j, w]
+                light[j, w] = undimmed[j, w] * (light[j, w] + once) + spread
+        for w in range(um.size):
+            light[j, w] *= body.facet_share[j, w]
+
+
+@compiled
+def _close(factor: Array, node: NDArray[np.int64], share: Array, light: Array) -> None:
+    """Multiply by a factor that is known at nodes."""
+    at = np.empty(light.shape[1])
+    for j in range(light.shape[0]):
+        at[:] = 0.0
+        for corner in range(node.shape[1]):
+            row, part = node[j, corner], share[j, corner]
+            for w in range(at.size):
+                at[w] += part * factor[row, w]
+        for w in range(at.size):
+            light[j, w] *= at[w]
+
+
+@compiled
+def _add_to_nodes(share: Array, node: NDArray[np.int64], light: Array, sums: Array) -> None:
+    for j in range(light.shape[0]):
+        for corner in range(node.shape[1]):
+            row, part = node[j, corner], share[j, corner]
+            for w in range(light.shape[1]):
+                sums[row, w] += part * light[j, w]

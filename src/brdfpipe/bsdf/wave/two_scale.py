@@ -22,8 +22,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
-from functools import cache, cached_property
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -43,13 +43,18 @@ from brdfpipe.bsdf.wave.height_transform import hankel_transform
 from brdfpipe.facets.planar_density import Ellipse
 from brdfpipe.facets.radial_density import RadialDensity
 from brdfpipe.geometry import Array, HalfVector, half_vector
+from brdfpipe.masking.modes import PHYSICAL_MASKINGS
 from brdfpipe.optics.fresnel_equations import reflectance_of
 
 if TYPE_CHECKING:
-    from brdfpipe.bsdf.wave.halo_kernel import Passage
+    from brdfpipe.bsdf.microfacet.evaluation_kernel import FacetTables, LayFacetTables
+    from brdfpipe.bsdf.wave.halo_kernel import Body, OrderTable, Pairs, Passage
 
 Angles = tuple[Array, Array, Array, Array]
 """θ_i, φ_i, θ_o and φ_o [degree], (directions,) each"""
+
+Corners = tuple[NDArray[np.int64], Array]
+"""Nodes of the closure about each direction, numbered by incidence and arc, and their shares of it, (directions…, corners) both"""
 
 PASSAGE_PHASE = 600.0**0.5
 """Phase variance at which half of the light of a surface of low slopes is reflected as by facets, if its slopes are normally distributed."""
@@ -70,7 +75,7 @@ _OF_HALO, _OF_CLOSURE = frozenset({"sigma", "log_halo"}), frozenset({"halo_closu
 """Variables of the halo alone, and of its closure."""
 
 MANY_HALO_VALUES = 2**13
-"""Values of a call from which on the halo is read by compiled code: loading it takes as long as a dozen such calls save, and whoever asks for
+"""Values of a call from which on they are computed by compiled code: loading it takes as long as a dozen such calls save, and whoever asks for
 so many values seldom makes one call."""
 _BLOCK = 2**15
 """Values that are computed together, so that their arrays stay in the processor's cache."""
@@ -174,6 +179,25 @@ class Relief:
         assert self.facets.surface is not None
         return self.facets.surface
 
+    def compiled_facets(self, pair: HalfVector, angles: Angles) -> tuple[Array, Array]:
+        """(1 + s²)² G2 / (4 cos θ_i cos θ_o) and P22 of the facets of pairs, (directions,) each, by compiled code where it covers their masking."""
+        from brdfpipe.bsdf.microfacet import evaluation_kernel
+
+        if self._facet_tables is not None:
+            return evaluation_kernel.facets(self._facet_tables, angles)
+        azimuths, spread = (angles[1], angles[3]), 1 + pair.slope_squared
+        visible = spread * spread * self.surface.visibility(pair, *azimuths, self.masking) / 4
+        return np.asarray(visible), self.surface.p22(pair, *azimuths)
+
+    @cached_property
+    def _facet_tables(self) -> FacetTables | LayFacetTables | None:
+        from brdfpipe.bsdf.microfacet import evaluation_kernel
+
+        if self.masking not in PHYSICAL_MASKINGS:
+            return None
+        tables = evaluation_kernel.FacetTables if self.surface.isotropic else evaluation_kernel.LayFacetTables
+        return tables.of(self.surface, self.masking)
+
     def undimmed(self, cosines: Array, wavelength: Array) -> Array:
         """Share e^(−g_f) of the facets' reflection that the finer roughness leaves, (…, wavelength)."""
         if self.fine is None:
@@ -212,11 +236,11 @@ class EnergyClosure(NamedTuple):
     factor: Array
     """Of either direction of the halo [1], (incidences, wavelengths), or (incidences, arcs, wavelengths) with a lay"""
     loss: Array
-    """−λ² ln(coherent share)/cos θ [um2], of the same"""
+    """−λ² ln(coherent share)/cos θ [um2], of the same; the arcs are continued around half a turn by :data:`_ARCS_AROUND`"""
     wavelength: Array
     """[nm]"""
     ellipse: Ellipse | None = None
-    """Of a lay: its arcs are :func:`closure_arcs`, continued around half a turn by :data:`_ARCS_AROUND`"""
+    """Of a lay: its arcs are :func:`closure_arcs`"""
 
     @classmethod
     def of(cls, bsdf: xr.Dataset) -> EnergyClosure:
@@ -227,35 +251,38 @@ class EnergyClosure(NamedTuple):
         if factor.ndim == 2:
             return cls(factor, loss, wavelength)
         around = ((0, 0), (_ARCS_AROUND, _ARCS_AROUND), (0, 0))
-        return cls(np.pad(factor, around, "wrap"), np.pad(loss, around, "wrap"), wavelength, ellipse_of(bsdf))
+        return cls(factor, np.pad(loss, around, "wrap"), wavelength, ellipse_of(bsdf))
 
     def of_halo(self, cosine: Array, azimuth: Array, wavelength: Array) -> Array:
         """The factor [1], (directions…, wavelength), of cosines and azimuths [degree] (directions…) at wavelengths [nm]."""
-        if self.ellipse is not None:
-            return self._between(self.factor, cosine, azimuth, wavelength, 1)
-        # Linear in both: between wavelengths once, not for every direction.
+        factor, (node, share) = self.factor_at(wavelength), self.corners(cosine, azimuth)
+        return sum(
+            (factor[node[..., corner]] * share[..., corner, None] for corner in range(node.shape[-1])), np.zeros(1)
+        )
+
+    def factor_at(self, wavelength: Array) -> Array:
+        """The factor [1] at the nodes, numbered by incidence and arc, (nodes, wavelength), between its wavelengths linear."""
         column = np.interp(wavelength, self.wavelength, np.arange(self.wavelength.size))
         before = np.minimum(column.astype(int), max(self.wavelength.size - 2, 0))
         part, after = column - before, np.minimum(before + 1, self.wavelength.size - 1)
-        at_wavelengths = self.factor[:, before] * (1 - part) + self.factor[:, after] * part
-        place = np.minimum(closure_place(cosine, len(self.factor)), len(self.factor) - 1)
-        row = np.minimum(place.astype(int), len(self.factor) - 2)
-        fraction = (place - row)[..., None]
-        return np.asarray(at_wavelengths[row] * (1 - fraction) + at_wavelengths[row + 1] * fraction)
+        factor = self.factor.reshape(-1, self.wavelength.size)
+        return np.asarray(factor[:, before] * (1 - part) + factor[:, after] * part)
+
+    def corners(self, cosine: Array, azimuth: Array, *, compiled: bool = False) -> Corners:
+        """The nodes about directions of cosines and azimuths [degree]."""
+        arcs = 1 if self.ellipse is None else self.factor.shape[1]
+        return closure_corners(cosine, azimuth, self.factor.shape[0], arcs, self.ellipse, compiled=compiled)
 
     def coherent_share(self, cosine: Array, azimuth: Array, wavelength: Array) -> Array:
         """Share of the mirror reflection that is coherent [1], of the same."""
-        loss = self._between(self.loss, cosine, azimuth, wavelength, 3)
-        return np.exp(-loss * cosine[..., None] / (wavelength * 1e-3) ** 2)
-
-    def _between(self, values: Array, cosine: Array, azimuth: Array, wavelength: Array, order: Literal[1, 3]) -> Array:
-        place = np.empty((values.ndim, *cosine.shape, wavelength.size))
-        place[0] = closure_place(cosine, values.shape[0])[..., None]
+        place = np.empty((self.loss.ndim, *cosine.shape, wavelength.size))
+        place[0] = closure_place(cosine, self.loss.shape[0])[..., None]
         if self.ellipse is not None:
-            count = values.shape[1] - 2 * _ARCS_AROUND
+            count = self.loss.shape[1] - 2 * _ARCS_AROUND
             place[1] = _ARCS_AROUND + closure_arc_place(self.ellipse, azimuth, count)[..., None]
         place[-1] = np.interp(wavelength, self.wavelength, np.arange(self.wavelength.size))
-        return np.asarray(map_coordinates(values, place, order=order, mode="nearest"))
+        loss = map_coordinates(self.loss, place, order=3, mode="nearest")
+        return np.exp(-loss * cosine[..., None] / (wavelength * 1e-3) ** 2)
 
 
 def closure_nodes(count: int) -> Array:
@@ -276,9 +303,37 @@ def closure_arcs(count: int) -> Array:
     return np.arange(count) * 180.0 / count
 
 
-def closure_arc_place(ellipse: Ellipse, azimuth: Array, count: int) -> Array:
-    """Place [1], from 0 to ``count``, of azimuths [degree] among the numbers of as many arcs."""
-    return np.asarray(azimuth_to_arc(ellipse, azimuth) % 180 * (count / 180))
+def closure_corners(
+    cosine: Array, azimuth: Array, incidences: int, arcs: int, ellipse: Ellipse | None, *, compiled: bool = False
+) -> Corners:
+    """The nodes of a closure of so many incidences and arcs about directions of cosines and azimuths [degree] (directions…).
+
+    ``ellipse`` is that of the lay; without one there is one arc. ``compiled``: by compiled code, of (directions,).
+    """
+    place = np.minimum(closure_place(cosine, incidences), incidences - 1)
+    row = np.minimum(place.astype(int), incidences - 2)
+    node, share = np.stack([row, row + 1], axis=-1), np.stack([1 - place + row, place - row], axis=-1)
+    if ellipse is None:
+        return node, share
+    around = closure_arc_place(ellipse, azimuth, arcs, compiled=compiled)
+    before = np.floor(around).astype(int)
+    column = np.stack([before % arcs, (before + 1) % arcs], axis=-1)
+    part = np.stack([1 - around + before, around - before], axis=-1)
+    four = (*place.shape, 4)
+    return (node[..., None] * arcs + column[..., None, :]).reshape(four), (
+        share[..., None] * part[..., None, :]
+    ).reshape(four)
+
+
+def closure_arc_place(ellipse: Ellipse, azimuth: Array, count: int, *, compiled: bool = False) -> Array:
+    """Place [1], from 0 to ``count``, of azimuths [degree] among the numbers of as many arcs; ``compiled``: of (directions,)."""
+    if compiled:
+        from brdfpipe.bsdf.microfacet import evaluation_kernel
+
+        arc = evaluation_kernel.arcs(ellipse, azimuth)
+    else:
+        arc = azimuth_to_arc(ellipse, azimuth)
+    return np.asarray(arc % 180 * (count / 180))
 
 
 @dataclass(frozen=True)
@@ -318,7 +373,7 @@ class RoughSurface:
             return np.full((*np.shape(cosines), wavelength.size), float(self.halo is None))
         return facet_share_at(self.facet_sigma, self.slope, self.passage, cosines, wavelength)
 
-    @property
+    @cached_property
     def passage_of_pairs(self) -> Passage:
         """What compiled code computes :meth:`facet_share` from, of a surface of waves and facets."""
         from brdfpipe.bsdf.wave.halo_kernel import Passage
@@ -341,17 +396,93 @@ class RoughSurface:
 
         Angles are θ_i, φ_i, θ_o and φ_o, (directions,) degree; wavelength [nm], n and k are (wavelength,).
         """
-        many = self.compiled or angles[0].size * wavelength.size >= MANY_VALUES
-        compiled = many or angles[0].size * wavelength.size >= MANY_HALO_VALUES
+        compiled = self.compiled or angles[0].size * wavelength.size >= MANY_HALO_VALUES
+        if compiled and self._is_compiled:
+            return self._compiled_light(angles, wavelength, n, k)
         surface = self._with_compiled_halos if compiled else self
-        of_all_facets = cache(lambda: surface.of_facets(angles, wavelength))
 
-        def of_block(pair: HalfVector, block: Angles, at: NDArray[np.int64]) -> Array:
-            # The compiled kernel of the facets needs many directions at once.
-            facets = (lambda: of_all_facets()[at]) if many else None
-            return surface.of_pairs(block, wavelength, n, k, pair=pair, facets=facets, compiled=compiled)
+        def of_block(pair: HalfVector, block: Angles) -> Array:
+            return surface.of_pairs(block, wavelength, n, k, pair=pair, compiled=compiled)
 
-        return _in_blocks(angles, (wavelength.size,), of_block, many)
+        return _in_blocks(angles, (wavelength.size,), of_block, compiled)
+
+    @property
+    def _is_compiled(self) -> bool:
+        """Whether one compiled pass evaluates the surface: of facets, perhaps with waves of all orders."""
+        return self.relief is not None and (self.halo is None or self.halo.first_order is not None)
+
+    def _compiled_light(self, angles: Angles, wavelength: Array, n: Array, k: Array) -> Array:
+        """:meth:`evaluate` in one compiled pass."""
+        from brdfpipe.bsdf.wave import halo_kernel
+
+        factor = None if self.closure is None else self.closure.factor_at(wavelength)
+
+        def of_block(pair: HalfVector, block: Angles) -> Array:
+            closure = None
+            if self.closure is not None and factor is not None:
+                around = ((pair.cos_i, block[1]), (pair.cos_o, block[3]))
+                corners = tuple(self.closure.corners(*of_one, compiled=True) for of_one in around)
+                closure = halo_kernel.Closure(factor, corners)
+            return halo_kernel.surface_light(
+                self.compiled_pairs(pair, block),
+                *self.order_tables,
+                wavelength,
+                self.compiled_body(pair, block, wavelength, n, k),
+                closure,
+                generalised=self.halo is not None and self.halo.form == "ghs",
+            )
+
+        return _in_blocks(angles, (wavelength.size,), of_block, compiled=True)
+
+    def compiled_pairs(self, pair: HalfVector, angles: Angles) -> Pairs:
+        """Pairs of directions of a surface with facets for compiled code."""
+        from brdfpipe.bsdf.wave.halo_kernel import Pairs
+
+        facet_slope, cosines = np.sqrt(pair.slope_squared), pair.cos_i + pair.cos_o
+        assert self.relief is not None
+        visible, density = self.relief.compiled_facets(pair, angles)
+        slope, column = facet_slope, np.empty(0)
+        if self.halo is not None:
+            slope, column = self.halo.slope_and_azimuth(pair, (angles[1], angles[3]))
+        return Pairs(
+            slope,
+            facet_slope,
+            column if column.size else np.zeros_like(slope),
+            cosines,
+            pair.cos_i * pair.cos_o,
+            visible * cosines**2,
+            density * visible,
+        )
+
+    def compiled_body(self, pair: HalfVector, angles: Angles, wavelength: Array, n: Array, k: Array) -> Body:
+        """What a body with this surface does to the light of pairs, for compiled code."""
+        from brdfpipe.bsdf.microfacet import evaluation_kernel
+        from brdfpipe.bsdf.wave import halo_kernel
+
+        relief, cosines, further = self.relief, pair.cos_i + pair.cos_o, None
+        assert relief is not None
+        if self.halo is None:
+            share = self.facet_share(cosines, wavelength)
+        else:
+            share = halo_kernel.facet_share(self.passage_of_pairs, cosines, wavelength)
+        if share.any():
+            further = relief.facets.further_light(*angles, wavelength)
+        has_waves = relief.fine is not None or bool((share < 1).any())
+        return halo_kernel.Body(
+            share,
+            halo_kernel.polarisation_factor(pair, angles[3] - angles[1], n, k) if has_waves else np.empty((0, 0)),
+            evaluation_kernel.reflectances(pair.cos_zeta, n, k),
+            np.empty((0, 0)) if further is None else np.ascontiguousarray(np.broadcast_to(further, share.shape)),
+        )
+
+    @cached_property
+    def order_tables(self) -> tuple[OrderTable, OrderTable]:
+        """Tables of the halo and of the roughness upon the facets, as compiled code reads them."""
+        from brdfpipe.bsdf.wave.halo_kernel import NO_TABLE
+
+        fine = None if self.relief is None else self.relief.fine
+        halo, upon = (NO_TABLE if one is None else one.by_order_table for one in (self.halo, fine))
+        return halo, upon
 
     @staticmethod
     def evaluate_each(
@@ -359,11 +490,11 @@ class RoughSurface:
     ) -> list[Array]:
         """:meth:`evaluate` of several surfaces of one body, which compute once what they share."""
         count = len(surfaces) * angles[0].size * wavelength.size
-        many, compiled = count >= MANY_VALUES, count >= MANY_HALO_VALUES
+        compiled = count >= MANY_HALO_VALUES
         used = [surface._with_compiled_halos if compiled else surface for surface in surfaces]
         reflectance = reflectance_of(n, k)
 
-        def of_block(pair: HalfVector, block: Angles, at: NDArray[np.int64]) -> Array:
+        def of_block(pair: HalfVector, block: Angles) -> Array:
             shared: dict[str, Any] = {
                 "pair": pair,
                 "compiled": compiled,
@@ -372,7 +503,7 @@ class RoughSurface:
             }
             return np.stack([surface.of_pairs(block, wavelength, n, k, **shared) for surface in used], axis=-1)
 
-        values = _in_blocks(angles, (wavelength.size, len(used)), of_block, many, block=_BLOCK * len(used))
+        values = _in_blocks(angles, (wavelength.size, len(used)), of_block, compiled, block=_BLOCK * len(used))
         return list(np.moveaxis(values, -1, 0))
 
     def of_pairs(
@@ -383,7 +514,6 @@ class RoughSurface:
         k: Array,
         *,
         pair: HalfVector | None = None,
-        facets: Callable[[], Array] | None = None,
         compiled: bool = False,
         reflectance: Callable[[Array], Array] | None = None,
         once: OnlyOnce = each_time,
@@ -394,7 +524,6 @@ class RoughSurface:
         ----------
         angles : (directions,) each, or numbers, which take a fraction of the time of arrays
         pair : of these directions, if it is known
-        facets : gives the BRDF of the facets, if it is known
         compiled : whether the polarisation factor is computed by compiled code
         reflectance : Fresnel's reflectance of n and k as a function of cosines, (…, 1), if it is known
         once : for several surfaces of one body in the same directions
@@ -408,9 +537,7 @@ class RoughSurface:
         values = np.zeros((*np.shape(angles[0]), wavelength.size))
         if parts.facets is not None:
             assert relief is not None
-            values += parts.facets * (
-                relief.facets.reflected_by(pair, visible, *angles, wavelength, once) if facets is None else facets()
-            )
+            values += parts.facets * relief.facets.reflected_by(pair, visible, *angles, wavelength, once)
         if parts.spread is not None:
             of_facet = reflectance or reflectance_of(n, k)
             values += parts.spread * once(("reflectance",), lambda: of_facet(pair.cos_zeta[..., None]))
@@ -422,7 +549,7 @@ class RoughSurface:
     def mueller(self, angles: Angles, wavelength: Array, n: Array, k: Array) -> Array:
         """Mueller matrices of the same [sr-1], (directions, wavelength, 4, 4), in the frames of the microfacet model."""
 
-        def of_block(pair: HalfVector, block: Angles, at: NDArray[np.int64]) -> Array:
+        def of_block(pair: HalfVector, block: Angles) -> Array:
             azimuths, relief = (block[1], block[3]), self.relief
             visible = np.empty(0) if relief is None else relief.surface.visibility(pair, *azimuths, relief.masking)
             parts = self._parts(pair, azimuths, wavelength, visible)
@@ -437,11 +564,6 @@ class RoughSurface:
             return values
 
         return _in_blocks(angles, (wavelength.size, 4, 4), of_block)
-
-    def of_facets(self, angles: Angles, wavelength: Array) -> Array:
-        """BRDF of the facets [sr-1], (directions, wavelength or 1)."""
-        assert self.relief is not None
-        return self.relief.facets.evaluate(*angles, wavelength)
 
     def prepared_for(self, values: int) -> RoughSurface:
         """The same surface, computed by compiled code if a number of values, in several calls, is worth loading it."""
@@ -526,26 +648,30 @@ class _Parts(NamedTuple):
 def _in_blocks(
     angles: Angles,
     shape: tuple[int, ...],
-    of_block: Callable[[HalfVector, Angles, NDArray[np.int64]], Array],
+    of_block: Callable[[HalfVector, Angles], Array],
     compiled: bool = False,
     block: int = _BLOCK,
 ) -> Array:
     """Values of pairs of directions above the surface, in blocks that fit the processor's cache; 0 for others.
 
-    ``of_block`` is given the pairs of a block, their angles, and their places among all directions. ``compiled`` is whether the pairs
-    are computed by compiled code.
+    ``of_block`` is given the pairs of a block and their angles. ``compiled`` is whether the pairs are computed by compiled code.
     """
-    theta_i, phi_i, theta_o, phi_o = angles
-    result = np.zeros((theta_i.size, *shape))
-    above = np.flatnonzero((theta_i < 90) & (theta_o < 90))
+    theta_i, _, theta_o, _ = angles
+    above = (theta_i < 90) & (theta_o < 90)
+    everywhere = bool(above.all())
+    selected = angles if everywhere else tuple(angle[above] for angle in angles)
+    values = np.empty((selected[0].size, *shape))
     step = max(block // int(np.prod(shape)), 64)
     pairs: Callable[..., HalfVector] = half_vector
     if compiled:
         from brdfpipe.bsdf.microfacet import evaluation_kernel
 
         pairs = evaluation_kernel.half_vectors
-    for start in range(0, above.size, step):
-        at = above[start : start + step]
-        angles_at = theta_i[at], phi_i[at], theta_o[at], phi_o[at]
-        result[at] = of_block(pairs(*angles_at), angles_at, at)
+    for start in range(0, len(values), step):
+        one, two, three, four = (angle[start : start + step] for angle in selected)
+        values[start : start + step] = of_block(pairs(one, two, three, four), (one, two, three, four))
+    if everywhere:
+        return values
+    result = np.zeros((theta_i.size, *shape))
+    result[above] = values
     return result
