@@ -10,6 +10,8 @@ from mirror_halo import halo_of_mirrors
 
 from brdfpipe import facets, psd
 from brdfpipe.bsdf import wave
+from brdfpipe.bsdf.microfacet import evaluation_kernel
+from brdfpipe.bsdf.wave import halo_kernel
 from brdfpipe.bsdf.wave.builder import ENERGY_NODES, _closure_corners, _directions
 from brdfpipe.bsdf.wave.lobe_integrals import LobeIntegrals
 from brdfpipe.bsdf.wave.two_scale import RoughSurface
@@ -65,3 +67,23 @@ def test_a_part_of_the_sums_is_that_of_all(built):
     np.testing.assert_allclose(
         without(weight, angles, corners, scatters=True).halo[:, 0], both.halo[:, 0], rtol=1e-12, atol=1e-16
     )
+
+
+def test_where_facets_reflect_all_light_the_halo_has_none(built):
+    surface = replace(RoughSurface.of(built), facet_sigma=1e3)
+    wavelength, n, k = (built[name].values for name in ("wavelength", "n", "k"))
+    (weight, angles), *_ = _directions(built, np.zeros(1), ENERGY_NODES)(20.0)
+    node, share = _closure_corners(built, angles, built.sizes["closure_incidence"], 1)
+    pair = evaluation_kernel.half_vectors(*angles)
+    lobe = halo_kernel.Lobe(surface.compiled_pairs(pair, angles), weight, node, share)
+    body = surface.compiled_body(pair, angles, wavelength, n, k)
+    assert (body.facet_share == 1).all()
+    if not body.polarisation.size:
+        # Compiled code that reads beyond an array finds what is there in memory.
+        body = body._replace(polarisation=np.full(body.facet_share.shape, np.nan)[:0])
+    sums = halo_kernel.lobe_sums(
+        lobe, *surface.order_tables, wavelength, built.sizes["closure_incidence"], body, closes=True, generalised=False
+    )
+    np.testing.assert_array_equal(sums.halo, 0)
+    assert np.isfinite(sums.facets).all()
+    assert sums.facets.min() > 0

@@ -182,8 +182,9 @@ def lobe_sums(
         sums.first_order[:] = np.einsum("j,jw->w", geometry, light[2]) / um**4
         _add_to_nodes(*around, light[0] + light[1], sums.mirror)
     if body is not None:
-        _reflect_halo(light[0], light[1], body)
-        _add_to_nodes(*around, light[0], sums.halo)
+        if body.polarisation.size:
+            _reflect_halo(light[0], light[1], body)
+            _add_to_nodes(*around, light[0], sums.halo)
         sums.facets[:] = np.einsum("j,jw->w", lobe.weight, _facet_light(pairs, fine, um, body))
     return sums
 
