@@ -92,8 +92,9 @@ def features(inputs: ModelInputs) -> dict[str, float]:
         heights = inputs.surface["height"].values
         result["slope_lowness"] = slope_lowness(heights)
         centred = heights - np.nanmean(heights)
-        deviation = math.sqrt(np.nanmean(centred**2))
-        result["height_skewness"] = float(np.clip(np.nanmean(centred**3) / max(deviation, 1e-12) ** 3, -2, 2))
+        squared = centred * centred  # a power of 3 takes many times as long as the product
+        deviation = math.sqrt(np.nanmean(squared))
+        result["height_skewness"] = float(np.clip(np.nanmean(squared * centred) / max(deviation, 1e-12) ** 3, -2, 2))
     if lay:
         result["log_anisotropy"] = math.log(float(facets["anisotropy"]))
     result["log_mirror"] = math.log(float(fresnel(1.0, n, k)[2]))

@@ -77,7 +77,7 @@ def test_many_values_are_those_of_few(monkeypatch):
     surface = RoughSurface(halo("ssa1", None), None, 0.0, 0.0)
     arguments = directions(), np.array([550.0]), np.array([1.5]), np.zeros(1)
     few = surface.evaluate(*arguments)
-    monkeypatch.setattr(two_scale, "MANY_VALUES", 1)
+    monkeypatch.setattr(two_scale, "MANY_HALO_VALUES", 1)
     np.testing.assert_allclose(surface.evaluate(*arguments), few, rtol=1e-11)
 
 

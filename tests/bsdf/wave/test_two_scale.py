@@ -218,7 +218,7 @@ def test_many_values_are_those_of_few(monkeypatch):
     bsdf = composite()
     angles = np.array([20.0, 60.0, 85.0]), np.zeros(3), np.array([20.5, 95.0, 80.0]), np.array([180.0, 180.0, 175.0])
     few = representation(bsdf).evaluate(*angles, None)
-    monkeypatch.setattr(two_scale, "MANY_VALUES", 1)
+    monkeypatch.setattr(two_scale, "MANY_HALO_VALUES", 1)
     np.testing.assert_allclose(representation(bsdf).evaluate(*angles, None), few, rtol=1e-10)
 
 

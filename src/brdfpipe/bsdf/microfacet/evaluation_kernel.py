@@ -627,7 +627,7 @@ def _density(slope_squared: Array, log_density: Curve, density: Array) -> None:
 def _mirrors_of_density(
     pair: Pair, work: Rows, count: int, tables: IsotropicTables | FacetTables, mirrors: Array
 ) -> None:
-    """The same of known P22, the first row of the work space."""
+    """BRDF of perfectly mirroring facets of known P22, the first row of the work space."""
     density, excess_i, excess_o = work[0], work[1], work[2]
     for j in range(mirrors.size):
         excess_i[j], excess_o[j] = pair[2][j] / pair[3][j], pair[4][j] / pair[5][j]

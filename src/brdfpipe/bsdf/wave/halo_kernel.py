@@ -1,6 +1,6 @@
 """Compiled light of many directions on one core: the halo of :mod:`brdfpipe.bsdf.wave.halo`, and that of :mod:`brdfpipe.bsdf.wave.two_scale`.
 
-All compiled functions are in this module, because the compiler's cache of a function does not see changes in other modules.
+All compiled functions of the halo are in this module, because the compiler's cache of a function does not see changes in other modules.
 """
 
 from __future__ import annotations
@@ -174,7 +174,10 @@ def lobe_sums(
     um, few = wavelength * 1e-3, wavelength.size
     pairs, around = lobe.pairs, (lobe.weight[:, None] * lobe.share, lobe.node)
     sums = Sums(np.zeros(few), np.zeros((nodes, few)), np.zeros((nodes, few)), np.zeros(few))
-    light = _light_by_order(pairs, halo, um, None if closes else body, generalised, with_limit=closes)
+    has_waves = body is not None and body.polarisation.size > 0
+    light = _NOTHING
+    if closes or has_waves:
+        light = _light_by_order(pairs, halo, um, None if closes else body, generalised, with_limit=closes)
     if closes:
         geometry = (
             lobe.weight * (4 * np.pi * halo.sigma) ** 2 * (pairs.cosines**2 / 4 if generalised else pairs.product)
@@ -182,7 +185,7 @@ def lobe_sums(
         sums.first_order[:] = np.einsum("j,jw->w", geometry, light[2]) / um**4
         _add_to_nodes(*around, light[0] + light[1], sums.mirror)
     if body is not None:
-        if body.polarisation.size:
+        if has_waves:
             _reflect_halo(light[0], light[1], body)
             _add_to_nodes(*around, light[0], sums.halo)
         sums.facets[:] = np.einsum("j,jw->w", lobe.weight, _facet_light(pairs, fine, um, body))
@@ -270,8 +273,9 @@ def _light_by_order(
 ) -> Array:
     """What a halo reflects as waves and as tilted facets [sr-1], and perhaps the limit of K/g [um2], (2 or 3, directions, wavelength).
 
-    Where the surface of a ``body`` is one of facets, it is any number.
+    Of a halo with the share of first order. Where the surface of a ``body`` is one of facets, it is any finite number.
     """
+    assert halo.coefficients.shape[-1] == 2
     light = _read(halo, pairs.slope, pairs, um, _NOTHING if body is None else body.facet_share, 3 if with_limit else 2)
     _mix_orders(pairs, um, halo.sigma, generalised, light[0], light[1])
     return light

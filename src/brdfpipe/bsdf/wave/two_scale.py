@@ -266,7 +266,7 @@ class EnergyClosure(NamedTuple):
         before = np.minimum(column.astype(int), max(self.wavelength.size - 2, 0))
         part, after = column - before, np.minimum(before + 1, self.wavelength.size - 1)
         factor = self.factor.reshape(-1, self.wavelength.size)
-        return np.asarray(factor[:, before] * (1 - part) + factor[:, after] * part)
+        return np.ascontiguousarray(factor[:, before] * (1 - part) + factor[:, after] * part)
 
     def corners(self, cosine: Array, azimuth: Array, *, compiled: bool = False) -> Corners:
         """The nodes about directions of cosines and azimuths [degree]."""
@@ -472,7 +472,7 @@ class RoughSurface:
             share,
             halo_kernel.polarisation_factor(pair, angles[3] - angles[1], n, k) if has_waves else np.empty((0, 0)),
             evaluation_kernel.reflectances(pair.cos_zeta, n, k),
-            np.empty((0, 0)) if further is None else np.ascontiguousarray(np.broadcast_to(further, share.shape)),
+            np.empty((0, 0)) if further is None else np.array(np.broadcast_to(further, share.shape)),
         )
 
     @cached_property
